@@ -1,0 +1,348 @@
+"""Everything that crosses the link, as frozen messages with a time stamp: twin, mock and recording look the same.
+
+Up goes a `CommandSequence` or a `Stop`; down come `Telemetry`, `StereoPair`, `Receipt` and `Fault`. `encode` gives the
+bytes whose length the link charges for and which the recorder keeps; `decode` gives the message back, and refuses bytes
+whose checksum does not match.
+
+Commands of the on-board executive. The public RAPID set has no limb commands, so their names are this project's own:
+
+- `JointMove`: one leg along way-points in joint space. Free motion: the wheel must touch nothing.
+- `LegMove`: one wheel along a straight line in hex, with a guard: `break_contact` (lift-off), `contact` (guarded
+  descent: stop when the wheel carries the given load), `none`.
+- `BodyMove`: the chassis along a straight line while all wheels stay where they are.
+- `ImageRequest`: stereo pairs of the named cameras.
+- `Wait`: nothing for a while.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+from dataclasses import dataclass, field, fields
+from typing import Any, ClassVar
+
+import cv2
+import numpy as np
+
+from athlete_twin.errors import CommandError, MessageError
+from athlete_twin.geometry.arrays import Image, Joints, Vec3
+
+GUARDS = ("none", "break_contact", "contact")
+RECEIPT_STATES = ("queued", "executing", "completed", "failed", "cancelled")
+EXECUTIVE_STATES = ("idle", "executing", "stopped", "fault")
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointMove:
+    """Move one leg through way-points in joint space, each joint in step with the others."""
+
+    kind: ClassVar[str] = "joint_move"
+    leg: int
+    """index 0 to 5"""
+    waypoints: np.ndarray
+    """joint angles after the wind-up, shape (k, dof); the leg starts from where it is [rad]"""
+    speed_scale: float = 1.0
+    """of the unloaded joint speed, in (0, 1]"""
+
+    def __post_init__(self) -> None:
+        _check_leg(self.leg)
+        w = np.asarray(self.waypoints, dtype=float)
+        if w.ndim != 2 or len(w) < 1 or not np.isfinite(w).all():
+            raise CommandError(f"way-points have shape {w.shape}, need finite (k, dof) with k >= 1")
+        _check_fraction("speed_scale", self.speed_scale)
+        object.__setattr__(self, "waypoints", w)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegMove:
+    """Move one wheel along a straight line in the hex frame, the last link keeping its direction."""
+
+    kind: ClassVar[str] = "leg_move"
+    leg: int
+    """index 0 to 5"""
+    wheel_in_hex: Vec3
+    """where the axle shall arrive [m]"""
+    guard: str = "none"
+    """"none", "break_contact" or "contact" """
+    contact_load: float = 0.0
+    """for guard "contact": the vertical load to stop at [N]"""
+    speed_scale: float = 1.0
+    """of the joint speed that applies, in (0, 1]"""
+
+    def __post_init__(self) -> None:
+        _check_leg(self.leg)
+        target = np.asarray(self.wheel_in_hex, dtype=float)
+        if target.shape != (3,) or not np.isfinite(target).all():
+            raise CommandError(f"wheel target {target} must be a finite point")
+        if self.guard not in GUARDS:
+            raise CommandError(f"guard {self.guard!r} is not one of {', '.join(GUARDS)}")
+        if self.guard == "contact" and not (np.isfinite(self.contact_load) and self.contact_load > 0.0):
+            raise CommandError(f"guard 'contact' needs a positive contact_load, got {self.contact_load} N")
+        _check_fraction("speed_scale", self.speed_scale)
+        object.__setattr__(self, "wheel_in_hex", target)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BodyMove:
+    """Move the chassis with all wheels planted, in a straight line and about one axis."""
+
+    kind: ClassVar[str] = "body_move"
+    translation_in_hex: Vec3
+    """of the hex origin, in the hex frame at the start [m]"""
+    rotvec_in_hex: Vec3 = field(default_factory=lambda: np.zeros(3))
+    """rotation of the chassis, in the hex frame at the start [rad]"""
+    wheel_offsets_in_hex: np.ndarray = field(default_factory=lambda: np.zeros((6, 3)))
+    """extra shift of each axle by the end of the move, shape (6, 3): reloads or levels wheels [m]"""
+    speed_scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, shape in (("translation_in_hex", (3,)), ("rotvec_in_hex", (3,)), ("wheel_offsets_in_hex", (6, 3))):
+            value = np.asarray(getattr(self, name), dtype=float)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise CommandError(f"{name} must be finite with shape {shape}, got shape {value.shape}")
+            object.__setattr__(self, name, value)
+        _check_fraction("speed_scale", self.speed_scale)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImageRequest:
+    """Take stereo pairs, one of each named camera, at the same time."""
+
+    kind: ClassVar[str] = "image_request"
+    cameras: tuple[str, ...]
+    binning: int = 2
+    """pixels averaged along each axis: 1, 2 or 4"""
+
+    def __post_init__(self) -> None:
+        if not self.cameras:
+            raise CommandError("an image request names no camera")
+        if self.binning not in (1, 2, 4):
+            raise CommandError(f"binning {self.binning} is not one of 1, 2, 4")
+        object.__setattr__(self, "cameras", tuple(self.cameras))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wait:
+    """Do nothing for `duration` [s]."""
+
+    kind: ClassVar[str] = "wait"
+    duration: float
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.duration) and 0.0 <= self.duration <= 3600.0):
+            raise CommandError(f"wait of {self.duration} s is outside 0 to 3600 s")
+
+
+Command = JointMove | LegMove | BodyMove | ImageRequest | Wait
+
+
+@dataclass(frozen=True, kw_only=True)
+class Message:
+    """What every message carries."""
+
+    topic: ClassVar[str] = ""
+    seq: int
+    """counts messages of this kind from one sender, from 0"""
+    robot_id: str
+    t: float
+    """when it was made, mission time [s]"""
+
+    @property
+    def crc32(self) -> int:
+        """Checksum of the encoded body."""
+        return zlib.crc32(_body(self))
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandSequence(Message):
+    """Commands to run one after the other. One at a time is in the queue; a later sequence waits for it."""
+
+    topic: ClassVar[str] = "/uplink/command_sequence"
+    sequence_id: int
+    """names the sequence in receipts and faults"""
+    commands: tuple[Command, ...]
+    max_torque_fraction: float = 1.0
+    """the executive stops with a fault when a measured joint torque exceeds this fraction of its limit"""
+    max_tilt: float = 0.35
+    """and when the chassis tilts by more [rad]"""
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "commands", tuple(self.commands))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stop(Message):
+    """Stop all motion at once and forget the queue."""
+
+    topic: ClassVar[str] = "/uplink/stop"
+    reason: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Telemetry(Message):
+    """What the robot measures of itself. No position, no contact flag, no wheel force: the ground infers them."""
+
+    topic: ClassVar[str] = "/downlink/telemetry"
+    joints: Joints
+    """after the wind-up, absolute encoders, shape (6, dof) [rad]"""
+    motors: Joints
+    """before the wind-up, relative encoders [rad]"""
+    torques: Joints
+    """from the difference of the two; positive drives the joint towards positive angles [N m]"""
+    attitude_rpy: Vec3
+    """roll, pitch, yaw of the chassis; yaw is integrated from the start and drifts [rad]"""
+    rates: Vec3
+    """angular velocity in hex [rad/s]"""
+    acceleration: Vec3
+    """specific force in hex, about (0, 0, 9.81) at rest [m/s2]"""
+    executive_state: str
+    """"idle", "executing", "stopped" or "fault" """
+    sequence_id: int
+    """of the sequence in execution or last executed, -1 before the first"""
+    command_index: int
+    """of the command in execution, or the number of commands done"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class StereoPair(Message):
+    """Two rectified images of one stereo camera, and the robot's state when they were taken."""
+
+    topic: ClassVar[str] = "/downlink/stereo_pair"
+    camera: str
+    binning: int
+    left: Image
+    """8-bit grey, shape (h, w)"""
+    right: Image
+    exposure: float
+    """[s]"""
+    state: Telemetry
+
+
+@dataclass(frozen=True, kw_only=True)
+class Receipt(Message):
+    """What became of a command."""
+
+    topic: ClassVar[str] = "/downlink/receipt"
+    sequence_id: int
+    command_index: int
+    """-1 for the sequence as a whole"""
+    status: str
+    """"queued", "executing", "completed", "failed" or "cancelled" """
+    text: str = ""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fault(Message):
+    """Why the executive stopped a sequence."""
+
+    topic: ClassVar[str] = "/downlink/fault"
+    code: str
+    """"torque_limit", "tilt", "no_contact", "unreachable", "bad_command" or "brown_out" """
+    text: str
+    sequence_id: int
+    command_index: int
+    leg: int
+    """index 0 to 5, -1 when no leg is concerned"""
+
+
+_KINDS: dict[str, type[Message]] = {c.topic: c for c in (CommandSequence, Stop, Telemetry, StereoPair, Receipt, Fault)}
+_COMMANDS: dict[str, type] = {c.kind: c for c in (JointMove, LegMove, BodyMove, ImageRequest, Wait)}
+
+
+def encode(message: Message) -> bytes:
+    """The message as bytes: a line of JSON (with topic and crc32), then the images, losslessly compressed (PNG)."""
+    body = _body(message)
+    head = json.dumps({"topic": message.topic, "crc32": zlib.crc32(body), "length": len(body)}, separators=(",", ":"))
+    return head.encode() + b"\n" + body
+
+
+def decode(raw: bytes) -> Message:
+    """The message from its bytes; raises `MessageError` when they are damaged."""
+    try:
+        head_bytes, body = raw.split(b"\n", 1)
+        head = json.loads(head_bytes)
+        kind = _KINDS[head["topic"]]
+        if len(body) != head["length"] or zlib.crc32(body) != head["crc32"]:
+            raise MessageError(f"checksum of a {head['topic']} message does not match its {len(body)} bytes")
+        text, blobs = _split_body(body)
+        return kind(**{k: _from_plain(v, blobs) for k, v in json.loads(text).items()})
+    except (ValueError, KeyError, TypeError, IndexError) as e:
+        raise MessageError(f"{len(raw)} bytes are not a message: {e}") from e
+
+
+def plain(message: Message) -> dict[str, Any]:
+    """The message as JSON-ready content, for a log: images become their sizes."""
+    out = {f.name: _to_plain(getattr(message, f.name), None) for f in fields(message)}
+    out["crc32"] = message.crc32
+    return out
+
+
+def _body(message: Message) -> bytes:
+    blobs: list[bytes] = []
+    content = {f.name: _to_plain(getattr(message, f.name), blobs) for f in fields(message)}
+    text = json.dumps(content, separators=(",", ":")).encode()
+    parts = [len(text).to_bytes(4, "big"), text]
+    for blob in blobs:
+        parts += [len(blob).to_bytes(4, "big"), blob]
+    return b"".join(parts)
+
+
+def _split_body(body: bytes) -> tuple[bytes, list[bytes]]:
+    parts, at = [], 0
+    while at < len(body):
+        size = int.from_bytes(body[at : at + 4], "big")
+        parts.append(body[at + 4 : at + 4 + size])
+        at += 4 + size
+    return parts[0], parts[1:]
+
+
+def _to_plain(value: Any, blobs: list[bytes] | None) -> Any:
+    if isinstance(value, np.ndarray):
+        if value.dtype == np.uint8 and value.ndim == 2:
+            if blobs is None:
+                return {"image_size": list(value.shape)}
+            ok, png = cv2.imencode(".png", value, [cv2.IMWRITE_PNG_COMPRESSION, 4])
+            if not ok:
+                raise MessageError(f"an image of shape {value.shape} cannot be compressed")
+            blobs.append(png.tobytes())
+            return {"png": len(blobs) - 1}
+        return {"array": value.tolist()}
+    if isinstance(value, Message):
+        return {"message": value.topic, "fields": {f.name: _to_plain(getattr(value, f.name), blobs) for f in fields(value)}}
+    if isinstance(value, tuple) and value and isinstance(value[0], Command):
+        commands = [{f.name: _to_plain(getattr(c, f.name), blobs) for f in fields(c)} | {"kind": c.kind} for c in value]
+        return {"commands": commands}
+    if isinstance(value, tuple):
+        return {"tuple": list(value)}
+    if isinstance(value, np.generic):
+        return value.item()
+    return value
+
+
+def _from_plain(value: Any, blobs: list[bytes]) -> Any:
+    if not isinstance(value, dict):
+        return value
+    if "png" in value:
+        return cv2.imdecode(np.frombuffer(blobs[value["png"]], dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+    if "array" in value:
+        return np.array(value["array"], dtype=float)
+    if "message" in value:
+        return _KINDS[value["message"]](**{k: _from_plain(v, blobs) for k, v in value["fields"].items()})
+    if "commands" in value:
+        return tuple(
+            _COMMANDS[c["kind"]](**{k: _from_plain(v, blobs) for k, v in c.items() if k != "kind"})
+            for c in value["commands"]
+        )
+    if "tuple" in value:
+        return tuple(value["tuple"])
+    return value
+
+
+def _check_leg(leg: int) -> None:
+    if not 0 <= leg < 6:
+        raise CommandError(f"leg index {leg} is outside 0 to 5")
+
+
+def _check_fraction(name: str, value: float) -> None:
+    if not (np.isfinite(value) and 0.0 < value <= 1.0):
+        raise CommandError(f"{name} is {value}, must be in (0, 1]")
