@@ -1,0 +1,93 @@
+"""Closed-form inverse kinematics of a leg: axle positions to joint angles, the last link along a given direction.
+
+The yaw turns the leg's plane through the wheel; in the plane the last link's direction is given (near vertical when it
+bears load, [SunSpiral2012] s7.1), so that thigh and shank remain: a two-link arm, knee up. The roll joints stay at zero.
+T12 has one pitch joint more: its first thigh takes a given angle, and the second one is the arm's first link.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from athlete_twin.errors import KinematicsError
+from athlete_twin.geometry.arrays import Joints, Points3, Vec3, Wheels
+from athlete_twin.model.spec import LEGS, RobotSpec
+
+DOWN = np.array([0.0, 0.0, -1.0])
+STRAIGHT_MARGIN = 0.9995
+"""cosine beyond which the knee counts as straight: at full stretch the joint speeds of a straight move diverge"""
+
+
+def leg_ik(
+    spec: RobotSpec,
+    leg: int,
+    wheels_in_hex: Points3,
+    *,
+    last_link_in_hex: Vec3 = DOWN,
+    hip_pitch: float | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joint angles that put the axle of one leg at each of n points, shape (n, dof) [rad], and which of them exist (n,).
+
+    Args:
+        spec: the drawings.
+        leg: index 0 to 5.
+        wheels_in_hex: wanted axle centres, shape (n, 3) [m].
+        last_link_in_hex: direction the last link shall point to, projected into the leg's plane; down in world for a
+            chassis that is not level.
+        hip_pitch: of a leg with two thighs [rad]; the normal stance's by default.
+
+    Rows that do not exist (out of reach, or beyond a joint's limit) are NaN.
+    """
+    points = np.asarray(wheels_in_hex, dtype=float)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise KinematicsError(f"wheel positions have shape {points.shape}, need (n, 3)")
+    pitch = [i for i, j in enumerate(spec.joints) if j.axis[1] == 1.0]
+    azimuth = spec.hip_azimuths[leg]
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    d = points - spec.hips_in_hex[leg]
+    x, y = c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]
+    yaw = np.arctan2(y, x)
+    hip = spec.joints[pitch[0]].offset
+    out, down = np.hypot(x, y) - hip[0], -(d[:, 2] - hip[2])
+
+    heading = azimuth + yaw
+    radial = np.cos(heading) * last_link_in_hex[0] + np.sin(heading) * last_link_in_hex[1]
+    last_angle = np.arctan2(-last_link_in_hex[2], radial)
+    last = float(spec.wheel.offset[0])
+    out, down = out - last * np.cos(last_angle), down - last * np.sin(last_angle)
+
+    q = np.zeros((len(points), spec.dof))
+    q[:, 0] = yaw
+    base = np.zeros(len(points))
+    upper_length = float(spec.joints[pitch[1]].offset[0])
+    if len(pitch) == 4:
+        first = spec.stance_hip_pitch if hip_pitch is None else hip_pitch
+        if first is None:
+            raise KinematicsError(f"{spec.name} has two thighs: hip_pitch or the stance's is needed")
+        base += first
+        out, down = out - upper_length * np.cos(first), down - upper_length * np.sin(first)
+        q[:, pitch[0]] = first
+        upper_length = float(spec.joints[pitch[2]].offset[0])
+    lower_length = float(sum(j.offset[0] for j in spec.joints[pitch[-2] + 1 :]))
+    cosine = (out**2 + down**2 - upper_length**2 - lower_length**2) / (2 * upper_length * lower_length)
+    ok = np.abs(cosine) <= STRAIGHT_MARGIN
+    knee = np.arccos(np.clip(cosine, -1.0, 1.0))
+    thigh = np.arctan2(down, out) - np.arctan2(lower_length * np.sin(knee), upper_length + lower_length * np.cos(knee))
+    q[:, pitch[-3]] = thigh - base
+    q[:, pitch[-2]] = knee
+    q[:, pitch[-1]] = last_angle - thigh - knee
+    q = np.where(np.abs(q) > np.pi, (q + np.pi) % (2 * np.pi) - np.pi, q)
+    ok &= ((q >= spec.lower) & (q <= spec.upper)).all(axis=1) & np.isfinite(q).all(axis=1)
+    q[~ok] = np.nan
+    return q, ok
+
+
+def all_legs_ik(
+    spec: RobotSpec, wheels_in_hex: Wheels, *, last_link_in_hex: Vec3 = DOWN, hip_pitch: float | None = None
+) -> tuple[Joints, np.ndarray]:
+    """Joint angles (6, dof) [rad] that put all six axles at the given points (6, 3), and which legs reach theirs (6,)."""
+    solved = [
+        leg_ik(spec, leg, wheels_in_hex[leg : leg + 1], last_link_in_hex=last_link_in_hex, hip_pitch=hip_pitch)
+        for leg in range(LEGS)
+    ]
+    return np.concatenate([q for q, _ in solved]), np.array([bool(ok[0]) for _, ok in solved])

@@ -1,0 +1,305 @@
+"""The robot's true body in Bullet: articulated rigid links from the URDF, servos, tyres and docks as forces, no motor rows.
+
+`step` is one tick of 1/240 s: servo torques and tyre forces from the state after the last tick, then Bullet's
+articulated-body step. Hull contacts (anything but a wheel on ground or robot) are Bullet's own and are read out for the
+collision record; wheels carry no Bullet contact, since the tyre is a force, and are watched by `Tyres.hull_depths`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from athlete_twin.assets import robot_dir
+from athlete_twin.errors import PhysicsError
+from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.spec import LEGS, RobotSpec
+from athlete_twin.physics.flex import DockFlex
+from athlete_twin.physics.servo import Servos
+from athlete_twin.physics.truth import TrialTruth
+from athlete_twin.physics.tyre import TyreForces, Tyres
+from athlete_twin.world.bullet_world import TICK, BulletWorld
+
+WHEEL_LOCK = 2.0e4
+"""holds a locked wheel against its fork [N m/rad]"""
+RUNAWAY_SPEED = 20.0
+"""a chassis faster than this is no robot any more [m/s]"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class HullContact:
+    """One contact of a part that is not a wheel, at one tick."""
+
+    part: str
+    """URDF link of the robot"""
+    other: str
+    """ "ground" or another link"""
+    place_in_world: Vec3
+    """[m]"""
+    force: float
+    """normal force [N]"""
+
+
+class Body:
+    """One robot in one world."""
+
+    def __init__(self, world: BulletWorld, spec: RobotSpec, trial: TrialTruth, *, friction: float, payload_kg: float = 0.0) -> None:
+        self.spec, self.trial, self.world = spec, trial, world
+        self._bullet, self._client = world.bullet, world.client
+        self.robot = self._load(payload_kg)
+        self._legs = np.array([[self._joint[f"leg{leg + 1}_{n}"] for n in spec.joint_names] for leg in range(LEGS)])
+        self._leg_list: list[int] = self._legs.ravel().tolist()
+        self._wheels: list[int] = [self._joint[f"wheel{leg + 1}"] for leg in range(LEGS)]
+        self._docks: list[int] = [i for n, i in self._joint.items() if n.startswith("dock")]
+        self._driven = self._leg_list + self._wheels + self._docks
+        self._names = {i: n for n, i in self._link.items()}
+        self._flex = DockFlex(trial.truth, [n for n in self._joint if n.startswith("dock")])
+        self._friction, self._payload = friction, payload_kg
+        self._servos: Servos | None = None
+        self._tyres: Tyres | None = None
+        self._filter_collisions()
+
+    # --- state ----------------------------------------------------------------------------------------------------
+
+    def place(self, world_from_hex: SE3, joints: Joints) -> None:
+        """Put the robot somewhere, at rest, motors where the links are. To be called once, before the first step."""
+        b = self._bullet
+        for leg in range(LEGS):
+            for k in range(self.spec.dof):
+                b.resetJointState(self.robot, int(self._legs[leg, k]), float(joints[leg, k]), 0.0, physicsClientId=self._client)
+        com = world_from_hex.apply(self._base_com)
+        b.resetBasePositionAndOrientation(
+            self.robot, com.tolist(), world_from_hex.quaternion_xyzw().tolist(), physicsClientId=self._client
+        )
+        inertias = self._joint_inertias(joints)
+        legs, docks = inertias[: LEGS * self.spec.dof], inertias[LEGS * (self.spec.dof + 1) :]
+        limits = self.spec.torque_limits
+        self._servos = Servos(self.trial.truth, limits, legs.reshape(LEGS, -1), np.array(joints, dtype=float))
+        self._flex.set_inertias(docks)
+        self._tyres = Tyres(
+            self.spec.wheel, self.trial, self.world.ground, friction=self._friction, sprung_mass=self.spec.mass + self._payload
+        )
+        self._read()
+
+    def step(self, commands: Joints, rate_limits: Joints) -> None:
+        """One tick: `commands` are motor angles (6, dof) [rad], approached at most at `rate_limits` (6, dof) [rad/s]."""
+        servos, tyres = self._ready()
+        b, client, robot = self._bullet, self._client, self.robot
+        torques = servos.step(self.joints, self.rates, commands, rate_limits, TICK)
+        wheel = -WHEEL_LOCK * self._wheel_angles - self._wheel_damping * self._wheel_rates
+        dock = self._flex.torques(self._dock_angles, self._dock_rates)
+        b.setJointMotorControlArray(
+            robot,
+            self._driven,
+            b.TORQUE_CONTROL,
+            forces=np.concatenate([torques.ravel(), wheel, dock]).tolist(),
+            physicsClientId=client,
+        )
+        ground = tyres.step(self.axles, self.axes, self._axle_velocities, self._axle_spins, TICK)
+        self.tyre = ground
+        for leg in range(LEGS):
+            if ground.loads[leg] > 0.0:
+                b.applyExternalForce(
+                    robot,
+                    self._wheels[leg],
+                    ground.forces_in_world[leg].tolist(),
+                    ground.patches_in_world[leg].tolist(),
+                    b.WORLD_FRAME,
+                    physicsClientId=client,
+                )
+        b.stepSimulation(physicsClientId=client)
+        self._read()
+
+    @property
+    def motors(self) -> Joints:
+        """Motor angles, before the wind-up, shape (6, dof) [rad]."""
+        return self._ready()[0].motors.copy()
+
+    def torques(self) -> Joints:
+        """Torques carried by the joints, shape (6, dof) [N m]."""
+        return self._ready()[0].torques(self.joints)
+
+    @property
+    def stiffness(self) -> Joints:
+        """Series stiffness of the joints, shape (6, dof) [N m/rad]."""
+        return self._ready()[0].stiffness.copy()
+
+    def hull_depths(self) -> tuple[PerLeg, Wheels]:
+        """How deep each wheel's unloaded hull is in the ground [m], and where."""
+        return self._ready()[1].hull_depths(self.axles, self.axes)
+
+    def world_from_hex(self) -> SE3:
+        """True pose of the chassis."""
+        position, quaternion = self._bullet.getBasePositionAndOrientation(self.robot, physicsClientId=self._client)
+        com = SE3.from_quaternion(quaternion, position)
+        return SE3(com.rotation, com.translation - com.rotation @ self._base_com)
+
+    def velocity(self) -> tuple[Vec3, Vec3]:
+        """Linear velocity of the chassis' centre of mass [m/s] and its angular velocity [rad/s], in world."""
+        linear, angular = self._bullet.getBaseVelocity(self.robot, physicsClientId=self._client)
+        return np.array(linear), np.array(angular)
+
+    def link_poses(self) -> dict[str, SE3]:
+        """`world_from_link` of every link by its URDF name."""
+        states = self._bullet.getLinkStates(self.robot, list(self._names), physicsClientId=self._client)
+        poses = {n: SE3.from_quaternion(s[5], s[4]) for n, s in zip(self._names.values(), states, strict=True)}
+        poses["hex"] = self.world_from_hex()
+        return poses
+
+    def com_in_world(self) -> Vec3:
+        """True centre of mass, payload included [m]."""
+        states = self._bullet.getLinkStates(self.robot, list(self._names), physicsClientId=self._client)
+        centres = np.array([s[0] for s in states])
+        base = np.array(self._bullet.getBasePositionAndOrientation(self.robot, physicsClientId=self._client)[0])
+        total = self._link_masses.sum() + self._base_mass
+        return np.asarray((self._link_masses @ centres + self._base_mass * base) / total)
+
+    @property
+    def mass(self) -> float:
+        """True mass with payload [kg]."""
+        return float(self._link_masses.sum() + self._base_mass)
+
+    def hull_contacts(self) -> list[HullContact]:
+        """Contacts of this tick between hulls and ground or robot."""
+        found = self._bullet.getContactPoints(bodyA=self.robot, physicsClientId=self._client) or ()
+        contacts = []
+        for c in found:
+            if c[8] > 0.0:
+                continue
+            other = "ground" if c[2] == self.world.ground_body else self._names.get(c[4], "hex")
+            part = self._names.get(c[3], "hex")
+            contacts.append(HullContact(part=part, other=other, place_in_world=np.array(c[5]), force=float(c[9])))
+        return contacts
+
+    # --- internals ------------------------------------------------------------------------------------------------
+
+    def _ready(self) -> tuple[Servos, Tyres]:
+        if self._servos is None or self._tyres is None:
+            raise PhysicsError("the body was not placed: call place() before step()")
+        return self._servos, self._tyres
+
+    def _read(self) -> None:
+        b, client = self._bullet, self._client
+        states = b.getJointStates(self.robot, self._driven, physicsClientId=client)
+        angles = np.array([s[0] for s in states])
+        rates = np.array([s[1] for s in states])
+        n = LEGS * self.spec.dof
+        self.joints: Joints = angles[:n].reshape(LEGS, -1)
+        """link angles, after the wind-up, shape (6, dof) [rad]"""
+        self.rates: Joints = rates[:n].reshape(LEGS, -1)
+        self._wheel_angles, self._wheel_rates = angles[n : n + LEGS], rates[n : n + LEGS]
+        self._dock_angles, self._dock_rates = angles[n + LEGS :], rates[n + LEGS :]
+        wheels = b.getLinkStates(self.robot, self._wheels, computeLinkVelocity=1, physicsClientId=client)
+        self.axles: Wheels = np.array([w[4] for w in wheels])
+        """axle centres in world, shape (6, 3) [m]"""
+        x, y, z, w = np.array([s[5] for s in wheels]).T
+        self.axes: Wheels = np.column_stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+        """unit axle directions in world, shape (6, 3)"""
+        self._axle_velocities = np.array([s[6] for s in wheels])
+        self._axle_spins = np.array([s[7] for s in wheels])
+        if not np.isfinite(angles).all() or np.abs(self._axle_velocities).max() > RUNAWAY_SPEED:
+            raise PhysicsError(f"the simulation ran away: a wheel moves at {np.abs(self._axle_velocities).max():.1f} m/s")
+
+    def _load(self, payload_kg: float) -> int:
+        b, client = self._bullet, self._client
+        robot = int(
+            b.loadURDF(
+                str(robot_dir(self.spec.name) / "robot.urdf"),
+                useFixedBase=False,
+                flags=b.URDF_USE_INERTIA_FROM_FILE | b.URDF_USE_SELF_COLLISION | b.URDF_USE_SELF_COLLISION_EXCLUDE_PARENT,
+                physicsClientId=client,
+            )
+        )
+        self._joint: dict[str, int] = {}
+        self._link: dict[str, int] = {}
+        for i in range(b.getNumJoints(robot, physicsClientId=client)):
+            info = b.getJointInfo(robot, i, physicsClientId=client)
+            self._link[info[12].decode()] = i
+            if info[2] != b.JOINT_FIXED:
+                self._joint[info[1].decode()] = i
+                b.setJointMotorControl2(robot, i, b.VELOCITY_CONTROL, force=0.0, physicsClientId=client)
+        masses = []
+        for name, i in [("hex", -1), *self._link.items()]:
+            info = b.getDynamicsInfo(robot, i, physicsClientId=client)
+            scale = self.trial.mass_scale.get(name, 1.0)
+            mass = info[0] * scale
+            b.changeDynamics(
+                robot,
+                i,
+                mass=mass,
+                localInertiaDiagonal=[scale * moment for moment in info[2]],
+                linearDamping=0.0,
+                angularDamping=0.0,
+                jointDamping=0.0,
+                physicsClientId=client,
+            )
+            masses.append(mass)
+            if i == -1:
+                self._base_com = np.array(info[3])
+        self._base_mass = masses[0]
+        self._link_masses = np.array(masses[1:])
+        if payload_kg > 0.0:
+            self._add_payload(robot, payload_kg)
+        return robot
+
+    def _add_payload(self, robot: int, payload_kg: float) -> None:
+        """A payload on the deck plane's centre: the base link gets heavier and its centre of mass moves up.
+
+        Bullet cannot shift a link's centre of mass after loading, so the load is put at the base's own centre: exact
+        for the wheel loads on level ground, and off by payload x height in the tip-over moment.
+        """
+        self._base_mass += payload_kg
+        self._bullet.changeDynamics(robot, -1, mass=self._base_mass, physicsClientId=self._client)
+
+    def _filter_collisions(self) -> None:
+        b, client = self._bullet, self._client
+        for wheel in self._wheels:
+            b.setCollisionFilterPair(self.robot, self.world.ground_body, wheel, -1, 0, physicsClientId=client)
+        # Links that share a joint region by construction: same leg within two joints, hips with what carries them.
+        names = {-1: "hex", **self._names}
+        for i, a in names.items():
+            for j, c in names.items():
+                if i < j and self._neighbours(a, c):
+                    b.setCollisionFilterPair(self.robot, self.robot, i, j, 0, physicsClientId=client)
+
+    def _neighbours(self, a: str, c: str) -> bool:
+        order = {n: k for k, n in enumerate((*self.spec.joint_names, "wheel"))}
+
+        def split(name: str) -> tuple[int, int]:
+            if name.startswith("leg"):
+                return int(name[3]), order[name[5:]]
+            if name.startswith("wheel"):
+                return int(name[5]), order["wheel"]
+            return 0, -1
+
+        (leg_a, k_a), (leg_c, k_c) = split(a), split(c)
+        if leg_a == 0 and leg_c == 0:
+            return True
+        if leg_a == 0 or leg_c == 0:
+            return max(k_a, k_c) <= 1
+        return leg_a == leg_c and abs(k_a - k_c) <= 2
+
+    def _joint_inertias(self, joints: Joints) -> np.ndarray:
+        """Inertia that each driven joint sees, everything else free: one over the diagonal of the inverse mass matrix."""
+        b, client = self._bullet, self._client
+        q = {i: 0.0 for i in sorted(self._joint.values())}
+        for leg in range(LEGS):
+            for k in range(self.spec.dof):
+                q[int(self._legs[leg, k])] = float(joints[leg, k])
+        full = np.array(b.calculateMassMatrix(self.robot, list(q.values()), physicsClientId=client))
+        inverse = np.diag(np.linalg.inv(full))[6:]
+        inertia = dict(zip(q, 1.0 / inverse, strict=True))
+        self._wheel_damping = np.array([2.0 * 0.3 * np.sqrt(WHEEL_LOCK * inertia[i]) for i in self._wheels])
+        return np.array([inertia[i] for i in self._driven])
+
+
+def settled(body: Body, *, speed: float = 2e-4) -> bool:
+    """Whether nothing moves any more: chassis and wheels below `speed` [m/s], joints below as many rad/s."""
+    linear, angular = body.velocity()
+    return bool(max(np.abs(linear).max(), np.abs(angular).max(), np.abs(body.rates).max()) < speed)
+
+
+__all__ = ["Body", "HullContact", "TyreForces", "settled"]

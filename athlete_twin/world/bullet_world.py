@@ -1,0 +1,73 @@
+"""One Bullet client with the ground in it. The ground stops hulls; tyres are forces of our own and pass through it."""
+
+from __future__ import annotations
+
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.model.kinematics import GRAVITY
+
+TICK = 1.0 / 240.0
+"""physics tick [s]"""
+SOLVER_ITERATIONS = 20
+"""only hull contacts make constraint rows, and few at a time"""
+
+
+class BulletWorld:
+    """Owns one DIRECT client; every call names it. Rebuilt, never reset: only a rebuilt world is bit-exact."""
+
+    def __init__(self, ground: HeightGrid) -> None:
+        import pybullet
+
+        self.bullet: Any = pybullet
+        self.client: int = pybullet.connect(pybullet.DIRECT)
+        pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=self.client)
+        pybullet.setPhysicsEngineParameter(
+            fixedTimeStep=TICK,
+            numSolverIterations=SOLVER_ITERATIONS,
+            deterministicOverlappingPairs=1,
+            physicsClientId=self.client,
+        )
+        self.ground = ground
+        self.ground_body = self._load_ground(ground)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Free the client; a second call does nothing."""
+        if self.client >= 0:
+            self.bullet.disconnect(physicsClientId=self.client)
+            self.client = -1
+
+    def _load_ground(self, ground: HeightGrid) -> int:
+        nx, ny = ground.shape
+        heights = ground.heights
+        shape = self.bullet.createCollisionShape(
+            self.bullet.GEOM_HEIGHTFIELD,
+            meshScale=[ground.cell, ground.cell, 1.0],
+            heightfieldData=heights.T.ravel().tolist(),
+            numHeightfieldRows=nx,
+            numHeightfieldColumns=ny,
+            physicsClientId=self.client,
+        )
+        # Bullet centres a height field on the middle of its bounding box, in height as well.
+        centre = [
+            ground.origin_x + 0.5 * (nx - 1) * ground.cell,
+            ground.origin_y + 0.5 * (ny - 1) * ground.cell,
+            float(0.5 * (heights.min() + heights.max())),
+        ]
+        body = self.bullet.createMultiBody(0, shape, basePosition=centre, physicsClientId=self.client)
+        self.bullet.changeDynamics(body, -1, lateralFriction=0.6, physicsClientId=self.client)
+        return int(body)
+
+    def height_by_ray(self, x: float, y: float) -> float:
+        """Height of Bullet's ground at a place [m], by a ray from above: for checks against the grid."""
+        hit = self.bullet.rayTest([x, y, 50.0], [x, y, -50.0], physicsClientId=self.client)[0]
+        return float(np.asarray(hit[3])[2])
