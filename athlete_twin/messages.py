@@ -4,6 +4,9 @@ Up goes a `CommandSequence` or a `Stop`; down come `Telemetry`, `StereoPair`, `R
 bytes whose length the link charges for and which the recorder keeps; `decode` gives the message back, and refuses bytes
 whose checksum does not match.
 
+Commands speak of motor angles and of wheel positions that follow from them by the drawn kinematics: where the wheel
+would be if nothing flexed ([SunSpiral2012] s5.1.1 calls it unsagged). Telemetry carries both sides of the wind-up.
+
 Commands of the on-board executive. The public RAPID set has no limb commands, so their names are this project's own:
 
 - `JointMove`: one leg along way-points in joint space. Free motion: the wheel must touch nothing.
@@ -40,7 +43,7 @@ class JointMove:
     leg: int
     """index 0 to 5"""
     waypoints: np.ndarray
-    """joint angles after the wind-up, shape (k, dof); the leg starts from where it is [rad]"""
+    """motor angles (before the wind-up), shape (k, dof); the leg starts from where it is [rad]"""
     speed_scale: float = 1.0
     """of the unloaded joint speed, in (0, 1]"""
 
@@ -237,7 +240,7 @@ class Fault(Message):
 
     topic: ClassVar[str] = "/downlink/fault"
     code: str
-    """"torque_limit", "tilt", "no_contact", "unreachable", "bad_command" or "brown_out" """
+    """"torque_limit", "tilt", "no_contact", "contact_not_broken", "unreachable", "bad_command" or "brown_out" """
     text: str
     sequence_id: int
     command_index: int

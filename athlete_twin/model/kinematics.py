@@ -110,6 +110,22 @@ class Kinematics:
             torques -= jacobian.T @ wrench
         return np.asarray(torques[self._q_of])
 
+    def ground_force(self, leg: int, joints: Joints, torques: LegJoints, gravity_in_hex: Vec3) -> Vec3:
+        """Force of the ground on one wheel that the leg's torques speak of, in hex [N], least squares.
+
+        The force is taken to act a wheel's radius below the axle along gravity, where the patch of a standing wheel is.
+        """
+        q = self.pin_q(joints)
+        self.pin_model.gravity.linear = np.asarray(gravity_in_hex, dtype=float)
+        gravity = np.asarray(pin.computeGeneralizedGravity(self.pin_model, self.pin_data, q))[self._q_of[leg]]
+        jacobian = pin.computeFrameJacobian(
+            self.pin_model, self.pin_data, q, self._wheel_frames[leg], pin.LOCAL_WORLD_ALIGNED
+        )[:, self._q_of[leg]]
+        down = gravity_in_hex / np.linalg.norm(gravity_in_hex)
+        arm = self.spec.wheel.radius * down
+        point = jacobian[:3] - np.cross(arm, jacobian[3:].T).T
+        return np.asarray(np.linalg.lstsq(point.T, gravity - torques, rcond=None)[0])
+
     def _place(self, joints: Joints) -> None:
         pin.forwardKinematics(self.pin_model, self.pin_data, self.pin_q(joints))
         pin.updateFramePlacements(self.pin_model, self.pin_data)

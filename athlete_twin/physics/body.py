@@ -90,7 +90,7 @@ class Body:
         b, client, robot = self._bullet, self._client, self.robot
         torques = servos.step(self.joints, self.rates, commands, rate_limits, TICK)
         wheel = -WHEEL_LOCK * self._wheel_angles - self._wheel_damping * self._wheel_rates
-        dock = self._flex.torques(self._dock_angles, self._dock_rates)
+        dock = self._flex.torques(self.dock_angles, self._dock_rates)
         b.setJointMotorControlArray(
             robot,
             self._driven,
@@ -191,7 +191,7 @@ class Body:
         """link angles, after the wind-up, shape (6, dof) [rad]"""
         self.rates: Joints = rates[:n].reshape(LEGS, -1)
         self._wheel_angles, self._wheel_rates = angles[n : n + LEGS], rates[n : n + LEGS]
-        self._dock_angles, self._dock_rates = angles[n + LEGS :], rates[n + LEGS :]
+        self.dock_angles, self._dock_rates = angles[n + LEGS :], rates[n + LEGS :]
         wheels = b.getLinkStates(self.robot, self._wheels, computeLinkVelocity=1, physicsClientId=client)
         self.axles: Wheels = np.array([w[4] for w in wheels])
         """axle centres in world, shape (6, 3) [m]"""

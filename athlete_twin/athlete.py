@@ -1,0 +1,354 @@
+"""The twin: true body, sensors and on-board executive of one robot in one scenario. Implements the `Robot` protocol.
+
+`advance` integrates physics at 240 Hz and the executive at 24 Hz. A robot that waits for the link and has come to
+rest is held by its brakes: time passes without integration, which changes nothing and costs nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from athlete_twin.errors import PhysicsError
+from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
+from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, StereoPair, Stop, Telemetry
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.reach import all_legs_ik
+from athlete_twin.model.spec import LEGS, RobotSpec
+from athlete_twin.model.stance import stance_wheels_in_hex
+from athlete_twin.moves import Sensed
+from athlete_twin.physics.body import Body, settled
+from athlete_twin.physics.truth import TrialTruth, draw_truth
+from athlete_twin.sensors.proprioception import Proprioception
+from athlete_twin.world.bullet_world import TICK, BulletWorld
+from athlete_twin.world.scenario import Scenario
+from athlete_twin.world.terrain import Terrain, build_terrain
+
+TICKS_PER_CONTROL = round(CONTROL_PERIOD / TICK)
+CONTROLS_PER_CHECK = 2
+"""collisions are looked for at 12 Hz: a wheel at 0.2 m/s moves 1.7 cm in between"""
+SETTLE_LIMIT = 8.0
+"""a robot that still moves after that long without a command is not at rest [s]"""
+TELEMETRY_PERIOD = 1.0
+"""while moving [s]"""
+TRACK_PERIOD = 0.5
+"""of the recorded truth while moving [s]"""
+STRIKE_DEPTH = 0.01
+"""a wheel's hull deeper than this in the ground outside lift-off and descent is a collision [m]"""
+EPISODE_GAP = 1.0
+"""contacts of the same pair closer than this are one episode [s]"""
+TORQUE_FILTER = 0.1
+"""[s]"""
+CLEAR_RADIUS = 0.45
+"""round each wheel's first patch no rock is placed [m]"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Collision:
+    """One contact episode as DESIGN.md defines it."""
+
+    t: float
+    """when it began [s]"""
+    part: str
+    """link that touched"""
+    other: str
+    """ "ground" or another link"""
+    place_in_world: Vec3
+    """[m]"""
+    force: float
+    """at its beginning [N]"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TruthState:
+    """What is really so, for scoring and films only."""
+
+    t: float
+    world_from_hex: SE3
+    joints: Joints
+    motors: Joints
+    torques: Joints
+    """[N m]"""
+    wheel_forces: Wheels
+    """of the ground on the wheels, in world [N]"""
+    wheel_loads: PerLeg
+    """along the ground's normal [N]"""
+    wheels_in_world: Wheels
+    """axle centres [m]"""
+    com_in_world: Vec3
+    phases: tuple[str, ...]
+    """per leg "stance", "lift_off", "swing" or "descent" """
+    moving: bool
+    peak_torque_fraction: float
+    """largest so far, low-passed at 0.1 s"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackPoint:
+    """One sample of the true motion."""
+
+    t: float
+    world_from_hex: SE3
+    joints: Joints
+    docks: np.ndarray
+    """dock angles in the order of the URDF, empty on SDM-B [rad]"""
+
+
+class Athlete:
+    """One robot in one scenario, from one seed."""
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        scenario: Scenario,
+        seed: int,
+        *,
+        payload_kg: float = 0.0,
+        trial: TrialTruth | None = None,
+        terrain: Terrain | None = None,
+    ) -> None:
+        self.spec, self.scenario, self.seed = spec, scenario, seed
+        self.robot_id = spec.name
+        self.kin = Kinematics(spec)
+        stance = stance_wheels_in_hex(spec)
+        self.terrain = terrain or build_terrain(scenario, seed, clear_xy=stance[:, :2], clear_radius=CLEAR_RADIUS)
+        names = tuple(self.kin.link_poses(np.zeros((LEGS, spec.dof))))
+        self.trial = trial or draw_truth(spec, seed, link_names=names)
+        self.world = BulletWorld(self.terrain.grid)
+        self.body = Body(self.world, spec, self.trial, friction=self.terrain.friction, payload_kg=payload_kg)
+        self.payload_kg = payload_kg
+        self._senses = Proprioception(spec, seed, trial=self.trial)
+        self._eyes: Any = None
+        self.t = 0.0
+        self._ticks = 0
+        self._rest = False
+        self._counts: dict[str, int] = {}
+        self._captures = 0
+        self._last_telemetry = -np.inf
+        self._last_track = -np.inf
+        self._torque_fraction = np.zeros((LEGS, spec.dof))
+        self.peak_torque_fraction = 0.0
+        self.collisions: list[Collision] = []
+        self._touching: dict[tuple[str, str], float] = {}
+        self.track: list[TrackPoint] = []
+        joints, world_from_hex = self._first_stance(stance)
+        # Motors take angles as their encoders read them: what is commanded is off by the encoders' zeros.
+        self.executive = Executive(kin=self.kin, setpoint=joints + self.trial.encoder_zero)
+        self.body.place(world_from_hex, joints)
+        self._settle()
+        self._record_track()
+
+    # --- Robot protocol -------------------------------------------------------------------------------------------
+
+    @property
+    def busy(self) -> bool:
+        """Whether the executive has anything to do."""
+        return self.executive.busy
+
+    def receive(self, message: CommandSequence | Stop) -> list[Message]:
+        """Take what came up the link; returns the receipts this makes at once."""
+        made = self._tell(self.executive.accept(message))
+        if isinstance(message, Stop):
+            made.append(self._telemetry())
+        return made
+
+    def advance(self, until: float) -> list[Message]:
+        """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first."""
+        out: list[Message] = []
+        while self.t < until - 1e-9 and not out:
+            if not self.executive.busy and self._rest:
+                self.t = until
+                break
+            out = self._control_tick()
+        return out
+
+    def close(self) -> None:
+        """Free the physics client."""
+        self.world.close()
+
+    # --- truth, for scoring and films -----------------------------------------------------------------------------
+
+    def truth(self) -> TruthState:
+        """What is really so now."""
+        body = self.body
+        return TruthState(
+            t=self.t,
+            world_from_hex=body.world_from_hex(),
+            joints=body.joints.copy(),
+            motors=body.motors,
+            torques=body.torques(),
+            wheel_forces=body.tyre.forces_in_world.copy(),
+            wheel_loads=body.tyre.loads.copy(),
+            wheels_in_world=body.axles.copy(),
+            com_in_world=body.com_in_world(),
+            phases=tuple(self.executive.phases),
+            moving=not self._rest,
+            peak_torque_fraction=self.peak_torque_fraction,
+        )
+
+    def link_poses(self) -> dict[str, SE3]:
+        """True `world_from_link` of every link."""
+        return self.body.link_poses()
+
+    # --- internals ------------------------------------------------------------------------------------------------
+
+    def _first_stance(self, stance: Wheels) -> tuple[Joints, SE3]:
+        """Joints and pose of the first stance: each unloaded wheel just touches the ground below it, chassis level."""
+        heights = self.terrain.grid.sample(stance[:, :2])
+        wheels = stance.copy()
+        datum = float(heights.mean())
+        wheels[:, 2] += heights - datum
+        joints, ok = all_legs_ik(self.spec, wheels)
+        if not ok.all():
+            legs = ", ".join(str(leg + 1) for leg in np.flatnonzero(~ok))
+            raise PhysicsError(f"{self.spec.name} cannot stand level at the start of {self.scenario.name}: legs {legs} do not reach")
+        height = self.spec.chassis_height + datum
+        return joints, SE3.from_translation(np.array([0.0, 0.0, height]))
+
+    def _settle(self) -> None:
+        limit = np.full((LEGS, self.spec.dof), self.spec.speed_loaded)
+        commands = self.executive.setpoint - self.trial.encoder_zero
+        for k in range(round(SETTLE_LIMIT / TICK)):
+            self.body.step(commands, limit)
+            if k > 480 and k % 60 == 0 and settled(self.body):
+                break
+        self._rest = True
+
+    def _sense(self) -> dict[str, Any]:
+        body = self.body
+        _, angular = body.velocity()
+        world_from_hex = body.world_from_hex()
+        to_hex = world_from_hex.rotation.T
+        self._ticks += 1
+        return self._senses.measure(
+            body.joints,
+            body.motors,
+            body.stiffness,
+            world_from_hex=world_from_hex,
+            rates_in_hex=to_hex @ angular,
+            acceleration_in_hex=to_hex @ np.array([0.0, 0.0, GRAVITY]),
+            t=self.t,
+            index=self._ticks,
+        )
+
+    def _control_tick(self) -> list[Message]:
+        measured = self._sense()
+        sensed = Sensed(joints=measured["joints"], torques=measured["torques"], attitude_rpy=measured["attitude_rpy"])
+        before, state = self.executive.setpoint, self.executive.state
+        events = self.executive.tick(sensed)
+        commands = self.executive.setpoint - self.trial.encoder_zero
+        rates = np.maximum(np.abs(self.executive.setpoint - before) / CONTROL_PERIOD, 1e-3)
+        rates = np.minimum(rates, self.spec.speed_unloaded)
+        limits = self.spec.torque_limits
+        for _ in range(TICKS_PER_CONTROL):
+            self.body.step(commands, rates)
+            fraction = np.abs(self.body.torques()) / limits
+            self._torque_fraction += (fraction - self._torque_fraction) * (TICK / TORQUE_FILTER)
+        self.t += CONTROL_PERIOD
+        self.peak_torque_fraction = max(self.peak_torque_fraction, float(self._torque_fraction.max()))
+        self._rest = not self.executive.busy and settled(self.body)
+        if self._ticks % CONTROLS_PER_CHECK == 0:
+            self._look_for_collisions()
+        if self.t - self._last_track >= TRACK_PERIOD:
+            self._record_track()
+        made = self._tell(events)
+        changed = state != self.executive.state
+        if changed or (self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD):
+            made.append(self._telemetry())
+        return made
+
+    def _tell(self, events: Iterable[Event]) -> list[Message]:
+        out: list[Message] = []
+        for e in events:
+            if e.kind == "receipt":
+                out.append(
+                    Receipt(
+                        seq=self._next("receipt"), robot_id=self.robot_id, t=self.t, sequence_id=e.sequence_id,
+                        command_index=e.command_index, status=e.status, text=e.text,
+                    )  # fmt: skip
+                )
+            elif e.kind == "fault":
+                out.append(
+                    Fault(
+                        seq=self._next("fault"), robot_id=self.robot_id, t=self.t, code=e.status, text=e.text,
+                        sequence_id=e.sequence_id, command_index=e.command_index, leg=e.leg,
+                    )  # fmt: skip
+                )
+            elif e.request is not None:
+                out.extend(self._capture(e))
+        return out
+
+    def _capture(self, event: Event) -> list[Message]:
+        if event.request is None:
+            return []
+        unknown = [c for c in event.request.cameras if c not in {k.name for k in self.spec.cameras}]
+        if unknown:
+            text = f"camera {unknown[0]!r} is not on {self.spec.name}"
+            return self._tell(
+                [Event(kind="fault", sequence_id=event.sequence_id, command_index=event.command_index, status="bad_command", text=text)]
+            )
+        if self._eyes is None:
+            from athlete_twin.sensors.stereo_camera import StereoRig
+
+            self._eyes = StereoRig.for_robot(self.spec, self.terrain, self.scenario, self.trial)
+        state = self._telemetry()
+        shots = self._eyes.capture(
+            event.request.cameras,
+            event.request.binning,
+            link_poses=self.body.link_poses(),
+            t=self.t,
+            index=self._captures,
+        )
+        self._captures += 1
+        return [
+            StereoPair(
+                seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=event.request.binning,
+                left=left, right=right, exposure=exposure, state=state,
+            )  # fmt: skip
+            for name, (left, right, exposure) in shots.items()
+        ]
+
+    def _telemetry(self) -> Telemetry:
+        self._last_telemetry = self.t
+        return Telemetry(
+            seq=self._next("telemetry"),
+            robot_id=self.robot_id,
+            t=self.t,
+            executive_state=self.executive.state,
+            sequence_id=self.executive.sequence_id,
+            command_index=self.executive.command_index,
+            **self._sense(),
+        )
+
+    def _next(self, kind: str) -> int:
+        count = self._counts.get(kind, 0)
+        self._counts[kind] = count + 1
+        return count
+
+    def _record_track(self) -> None:
+        self._last_track = self.t
+        self.track.append(
+            TrackPoint(
+                t=self.t,
+                world_from_hex=self.body.world_from_hex(),
+                joints=self.body.joints.copy(),
+                docks=self.body.dock_angles.copy(),
+            )
+        )
+
+    def _look_for_collisions(self) -> None:
+        found = [(c.part, c.other, c.place_in_world, c.force) for c in self.body.hull_contacts()]
+        depths, places = self.body.hull_depths()
+        for leg, phase in enumerate(self.executive.phases):
+            if phase == "swing" and depths[leg] > STRIKE_DEPTH:
+                found.append((f"wheel{leg + 1}", "ground", places[leg], float(self.body.tyre.loads[leg])))
+        for part, other, place, force in found:
+            pair = (part, other)
+            if self.t - self._touching.get(pair, -np.inf) > EPISODE_GAP:
+                self.collisions.append(Collision(t=self.t, part=part, other=other, place_in_world=place, force=force))
+            self._touching[pair] = self.t

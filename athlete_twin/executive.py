@@ -1,0 +1,191 @@
+"""The on-board executive: runs one command sequence at a time, tick by tick, guards it and says what became of it.
+
+It knows the drawings and what the robot senses, nothing else. A sequence is refused or stopped whole: after a fault
+the legs stay where they are, the queue is empty, and the next sequence starts afresh.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from athlete_twin.geometry.arrays import Joints
+from athlete_twin.messages import BodyMove, Command, CommandSequence, ImageRequest, JointMove, LegMove, Stop, Wait
+from athlete_twin.model.kinematics import Kinematics
+from athlete_twin.model.spec import LEGS
+from athlete_twin.moves import Move, MoveFailedError, Sensed, body_move, joint_move, leg_move
+
+CONTROL_PERIOD = 1.0 / 24.0
+"""of the executive: ten physics ticks [s]"""
+TORQUE_FILTER = 0.1
+"""time constant of the torque guard [s]"""
+SETTLING_TIME = 1.0
+"""at the end of each sequence, before it counts as completed [s]"""
+IMAGING_TIME = 0.5
+"""the robot stands still that long for a set of pictures [s]"""
+QUEUE_LIMIT = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class Event:
+    """Something to tell the ground: becomes a `Receipt`, a `Fault` or pictures."""
+
+    kind: str
+    """"receipt", "fault" or "capture" """
+    sequence_id: int
+    command_index: int
+    status: str = ""
+    text: str = ""
+    leg: int = -1
+    request: ImageRequest | None = None
+
+
+@dataclass(kw_only=True)
+class _Running:
+    sequence: CommandSequence
+    index: int = 0
+    move: Move | None = None
+    dwell: float = 0.0
+
+
+@dataclass(kw_only=True)
+class Executive:
+    """Queue, guards and the command in execution. `tick` is called every `CONTROL_PERIOD`."""
+
+    kin: Kinematics
+    setpoint: Joints
+    """motor angles commanded last, shape (6, dof) [rad]"""
+    state: str = "idle"
+    sequence_id: int = -1
+    command_index: int = 0
+    phases: list[str] = field(default_factory=lambda: ["stance"] * LEGS)
+    """per leg "stance", "lift_off", "swing" or "descent", as the executive itself sees it"""
+    _queue: deque[CommandSequence] = field(default_factory=deque)
+    _running: _Running | None = None
+    _fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything is in execution or waiting."""
+        return self._running is not None or bool(self._queue)
+
+    def accept(self, message: CommandSequence | Stop) -> list[Event]:
+        """Take what came up the link."""
+        if isinstance(message, Stop):
+            return self._stop(message)
+        if len(self._queue) >= QUEUE_LIMIT:
+            text = f"queue is full with {QUEUE_LIMIT} sequences"
+            return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="failed", text=text)]
+        self._queue.append(message)
+        return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="queued")]
+
+    def tick(self, sensed: Sensed) -> list[Event]:
+        """Advance by one control period: new `setpoint`, and what there is to tell."""
+        if self._running is None:
+            if not self._queue:
+                return []
+            sequence = self._queue.popleft()
+            self._running = _Running(sequence=sequence)
+            self.state, self.sequence_id, self.command_index = "executing", sequence.sequence_id, 0
+            self._fraction = np.abs(sensed.torques) / self.kin.spec.torque_limits
+        try:
+            self._guard(self._running, sensed)
+            return self._advance(self._running, sensed)
+        except MoveFailedError as failure:
+            return self._fail(failure)
+
+    def _advance(self, run: _Running, sensed: Sensed) -> list[Event]:
+        commands = run.sequence.commands
+        if run.index >= len(commands):
+            run.dwell += CONTROL_PERIOD
+            if run.dwell < SETTLING_TIME:
+                return []
+            self._running, self.state = None, "idle"
+            return [self._receipt(run.sequence.sequence_id, -1, "completed")]
+        command = commands[run.index]
+        events: list[Event] = []
+        if isinstance(command, ImageRequest | Wait):
+            run.dwell += CONTROL_PERIOD
+            if run.dwell < (command.duration if isinstance(command, Wait) else IMAGING_TIME):
+                return []
+            if isinstance(command, ImageRequest):
+                sequence_id = run.sequence.sequence_id
+                events.append(Event(kind="capture", sequence_id=sequence_id, command_index=run.index, request=command))
+        else:
+            if run.move is None:
+                run.move = self._begin(command)
+                self.setpoint = next(run.move, self.setpoint)
+                return []
+            try:
+                self.setpoint = run.move.send(sensed)
+            except StopIteration:
+                self._end(command)
+            else:
+                return []
+        events.append(self._receipt(run.sequence.sequence_id, run.index, "completed"))
+        run.index, run.move, run.dwell = run.index + 1, None, 0.0
+        self.command_index = run.index
+        return events
+
+    def _begin(self, command: Command) -> Move:
+        if isinstance(command, JointMove):
+            self.phases[command.leg] = "swing"
+            return joint_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
+        if isinstance(command, LegMove):
+            self.phases[command.leg] = {"break_contact": "lift_off", "contact": "descent", "none": "swing"}[command.guard]
+            return leg_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
+        if isinstance(command, BodyMove):
+            return body_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
+        raise MoveFailedError("bad_command", f"{type(command).__name__} is no motion")
+
+    def _end(self, command: Command) -> None:
+        if isinstance(command, LegMove) and command.guard == "contact":
+            self.phases[command.leg] = "stance"
+        elif isinstance(command, LegMove | JointMove):
+            self.phases[command.leg] = "swing"
+
+    def _guard(self, run: _Running, sensed: Sensed) -> None:
+        spec = self.kin.spec
+        fraction = np.abs(sensed.torques) / spec.torque_limits
+        self._fraction += (fraction - self._fraction) * min(1.0, CONTROL_PERIOD / TORQUE_FILTER)
+        worst = np.unravel_index(np.argmax(self._fraction), self._fraction.shape)
+        leg, joint = int(worst[0]), int(worst[1])
+        if self._fraction[leg, joint] > run.sequence.max_torque_fraction:
+            raise MoveFailedError(
+                "torque_limit",
+                f"{spec.joint_names[joint]} of leg {leg + 1} at {100 * self._fraction[leg, joint]:.0f} % of its limit, "
+                f"allowed {100 * run.sequence.max_torque_fraction:.0f} %",
+                leg,
+            )
+        tilt = float(np.hypot(sensed.attitude_rpy[0], sensed.attitude_rpy[1]))
+        if tilt > run.sequence.max_tilt:
+            raise MoveFailedError(
+                "tilt", f"chassis tilts by {np.rad2deg(tilt):.1f} deg, allowed {np.rad2deg(run.sequence.max_tilt):.1f}"
+            )
+
+    def _fail(self, failure: MoveFailedError) -> list[Event]:
+        run = self._running
+        sequence_id, index = (run.sequence.sequence_id, run.index) if run else (-1, -1)
+        self._running, self.state = None, "fault"
+        cancelled = [self._receipt(s.sequence_id, -1, "cancelled") for s in self._queue]
+        self._queue.clear()
+        fault = Event(
+            kind="fault", sequence_id=sequence_id, command_index=index, status=failure.code, text=failure.text, leg=failure.leg
+        )
+        return [fault, self._receipt(sequence_id, index, "failed", failure.text), *cancelled]
+
+    def _stop(self, message: Stop) -> list[Event]:
+        events = [self._receipt(s.sequence_id, -1, "cancelled", message.reason) for s in self._queue]
+        if self._running is not None:
+            events.insert(
+                0, self._receipt(self._running.sequence.sequence_id, self._running.index, "cancelled", message.reason)
+            )
+        self._queue.clear()
+        self._running, self.state = None, "stopped"
+        return events
+
+    @staticmethod
+    def _receipt(sequence_id: int, index: int, status: str, text: str = "") -> Event:
+        return Event(kind="receipt", sequence_id=sequence_id, command_index=index, status=status, text=text)

@@ -1,0 +1,198 @@
+"""The executive's motions, one control tick at a time: generators that yield motor angles and receive what was sensed.
+
+Each generator checks its whole path for reach before it moves anything, so a command that cannot be finished is not
+begun. A move goes as fast as the slowest joint allows, all joints in step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import dataclass
+
+import numpy as np
+
+from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.messages import BodyMove, JointMove, LegMove
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.reach import leg_ik
+from athlete_twin.model.spec import LEGS
+
+WHEEL_SPEED = 0.15
+"""of straight moves at most [m/s]"""
+DESCENT_SPEED = 0.06
+"""of a guarded descent: a tyre takes 1 kN/m x 0.06 m/s x one tick more than asked for [m/s]"""
+BRANCH_TOLERANCE = 0.03
+"""a straight move starts only where the closed-form solution agrees with the joints this well [rad]"""
+CHECKED_POINTS = 16
+"""of a path checked for reach before it begins"""
+AIRBORNE_LOAD = 120.0
+"""a wheel whose inferred load is below this counts as off the ground [N]"""
+
+
+class MoveFailedError(Exception):
+    """A move ends early; carries the fault's code. Caught by the executive, never seen outside."""
+
+    def __init__(self, code: str, text: str, leg: int = -1) -> None:
+        super().__init__(text)
+        self.code, self.text, self.leg = code, text, leg
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensed:
+    """What the robot measures of itself at one control tick."""
+
+    joints: Joints
+    """after the wind-up [rad]"""
+    torques: Joints
+    """[N m]"""
+    attitude_rpy: Vec3
+    """[rad]"""
+
+
+Move = Generator[Joints, Sensed, None]
+
+
+def gravity_in_hex(attitude_rpy: Vec3) -> Vec3:
+    """Gravity from the measured roll and pitch [m/s2]."""
+    world_from_hex = SE3.from_rpy(float(attitude_rpy[0]), float(attitude_rpy[1]), 0.0)
+    return world_from_hex.rotation.T @ np.array([0.0, 0.0, -GRAVITY])
+
+
+def vertical_load(kin: Kinematics, leg: int, sensed: Sensed) -> float:
+    """Load on one wheel against gravity, inferred from the leg's torques [N]."""
+    gravity = gravity_in_hex(sensed.attitude_rpy)
+    force = kin.ground_force(leg, sensed.joints, sensed.torques[leg], gravity)
+    return float(-force @ gravity / GRAVITY)
+
+
+def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) -> Move:
+    """One leg through way-points in joint space at the unloaded speed."""
+    spec, leg = kin.spec, command.leg
+    if command.waypoints.shape[1] != spec.dof:
+        raise MoveFailedError("bad_command", f"way-points have {command.waypoints.shape[1]} joints, need {spec.dof}", leg)
+    beyond = (command.waypoints < spec.lower - 1e-9) | (command.waypoints > spec.upper + 1e-9)
+    if beyond.any():
+        row, joint = np.argwhere(beyond)[0]
+        raise MoveFailedError(
+            "unreachable",
+            f"{spec.joint_names[joint]} of leg {leg + 1} at {np.rad2deg(command.waypoints[row, joint]):.1f} deg is beyond "
+            f"{np.rad2deg(spec.lower[joint]):.0f} to {np.rad2deg(spec.upper[joint]):.0f} deg",
+            leg,
+        )
+    q = start.copy()
+    rate = spec.speed_unloaded * command.speed_scale
+    for target in command.waypoints:
+        origin = q[leg].copy()
+        ticks = max(1, int(np.ceil(np.abs(target - origin).max() / (rate * dt))))
+        for k in range(1, ticks + 1):
+            q = q.copy()
+            q[leg] = origin + (target - origin) * (k / ticks)
+            yield q
+
+
+def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Move:
+    """One wheel along a straight line in hex, with its guard."""
+    leg = command.leg
+    pose = kin.leg_wheel(leg, start[leg])
+    origin, direction = pose.translation, pose.rotation[:, 0]
+    span = command.wheel_in_hex - origin
+    length = float(np.linalg.norm(span))
+    _check_reach(kin, start, leg, origin + np.linspace(0.0, 1.0, CHECKED_POINTS)[:, None] * span, direction)
+    loaded = command.guard != "none"
+    speed = (DESCENT_SPEED if command.guard == "contact" else WHEEL_SPEED) * command.speed_scale
+    fraction, q = 0.0, start.copy()
+    sensed = yield q
+    tare = vertical_load(kin, leg, sensed) if command.guard == "contact" else 0.0
+    while fraction < 1.0:
+        rate = (kin.spec.speed_loaded if loaded else kin.spec.speed_unloaded) * command.speed_scale
+        step = min(speed * dt / max(length, 1e-9), 1.0 - fraction)
+        target = _solve(kin, leg, origin + (fraction + step) * span, direction, q[leg])
+        change = np.abs(target - q[leg]).max()
+        if change > rate * dt:
+            step *= rate * dt / change
+            target = _solve(kin, leg, origin + (fraction + step) * span, direction, q[leg])
+        fraction += step
+        q = q.copy()
+        q[leg] = target
+        sensed = yield q
+        if command.guard == "none":
+            continue
+        load = vertical_load(kin, leg, sensed) - tare
+        if command.guard == "break_contact":
+            loaded = load > AIRBORNE_LOAD
+        elif load >= command.contact_load:
+            return
+    if command.guard == "contact":
+        load = vertical_load(kin, leg, sensed) - tare
+        raise MoveFailedError(
+            "no_contact", f"leg {leg + 1} came down {length:.2f} m and carries {load:.0f} of {command.contact_load:.0f} N", leg
+        )
+    if command.guard == "break_contact":
+        for _ in range(int(0.5 / dt)):
+            sensed = yield q
+        load = vertical_load(kin, leg, sensed)
+        if load > AIRBORNE_LOAD:
+            raise MoveFailedError(
+                "contact_not_broken", f"leg {leg + 1} was lifted {length:.2f} m and still carries {load:.0f} N", leg
+            )
+
+
+def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> Move:
+    """The chassis along a line and about an axis; every wheel stays where it is, but for its commanded offset."""
+    poses = [kin.leg_wheel(leg, start[leg]) for leg in range(LEGS)]
+    wheels = np.array([p.translation for p in poses])
+    directions = np.array([p.rotation[:, 0] for p in poses])
+    size = float(np.linalg.norm(command.translation_in_hex))
+    size = max(size, 2.0 * float(np.linalg.norm(command.rotvec_in_hex)), float(np.abs(command.wheel_offsets_in_hex).max()))
+    for fraction in np.linspace(0.0, 1.0, CHECKED_POINTS):
+        _body_pose(kin, command, wheels, directions, fraction, start)
+    q, fraction = start.copy(), 0.0
+    rate = kin.spec.speed_loaded * command.speed_scale
+    while fraction < 1.0 and size > 0.0:
+        step = min(WHEEL_SPEED * dt / size, 1.0 - fraction)
+        target = _body_pose(kin, command, wheels, directions, fraction + step, q)
+        change = np.abs(target - q).max()
+        if change > rate * dt:
+            step *= rate * dt / change
+            target = _body_pose(kin, command, wheels, directions, fraction + step, q)
+        fraction += step
+        q = target
+        yield q
+
+
+def _body_pose(
+    kin: Kinematics, command: BodyMove, wheels: Wheels, directions: Wheels, fraction: float, near: Joints
+) -> Joints:
+    start_from_hex = SE3.from_rotvec(fraction * command.rotvec_in_hex, fraction * command.translation_in_hex)
+    hex_from_start = start_from_hex.inverse()
+    targets = hex_from_start.apply(wheels) + fraction * command.wheel_offsets_in_hex
+    links = hex_from_start.rotate(directions)
+    return np.array([_solve(kin, leg, targets[leg], links[leg], near[leg]) for leg in range(LEGS)])
+
+
+def _solve(kin: Kinematics, leg: int, wheel_in_hex: Vec3, last_link_in_hex: Vec3, near: np.ndarray) -> np.ndarray:
+    hip_pitch = float(near[1]) if kin.spec.stance_hip_pitch is not None else None
+    q, ok = leg_ik(kin.spec, leg, wheel_in_hex[None], last_link_in_hex=last_link_in_hex, hip_pitch=hip_pitch)
+    if not ok[0]:
+        raise MoveFailedError("unreachable", f"leg {leg + 1} cannot put its wheel at {np.round(wheel_in_hex, 3)} in hex", leg)
+    return q[0]
+
+
+def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, direction: Vec3) -> None:
+    first = _solve(kin, leg, points[0], direction, start[leg])
+    off = float(np.abs(first - start[leg]).max())
+    if off > BRANCH_TOLERANCE:
+        raise MoveFailedError(
+            "unreachable",
+            f"leg {leg + 1} is {np.rad2deg(off):.1f} deg off the posture of straight moves (rolls zero, knee up); "
+            "bring it there with a joint move first",
+            leg,
+        )
+    for point in points[1:]:
+        _solve(kin, leg, point, direction, start[leg])
+
+
+def loads_from_torques(kin: Kinematics, sensed: Sensed) -> PerLeg:
+    """Vertical load on every wheel, inferred from the torques [N]."""
+    return np.array([vertical_load(kin, leg, sensed) for leg in range(LEGS)])
