@@ -1,0 +1,201 @@
+"""What the ground asks and what the operator answers: proposals, decisions, and operators that follow a script.
+
+The last stage before the link. The agent hands out one of five actions; only a `Proposal` needs an answer. An operator
+that asks a person reads a terminal and therefore lives with the scripts; those here need nobody.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, get_args, runtime_checkable
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from athlete_twin.errors import ConfigError
+from athlete_twin.geometry.arrays import Vec3
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.messages import CommandSequence, Message
+
+DecisionKind = Literal["approve", "reject", "edit_footfall", "choose_leg", "choose_cameras", "wait", "stop"]
+DECISIONS: tuple[str, ...] = get_args(DecisionKind)
+SCRIPTED_OPERATORS = ("approve_all",)
+MAX_WAIT = 3600.0
+"""longest wait an operator may order, as the executive's [s]"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Proposal:
+    """One step or chassis shift the ground wants to command, with all the operator needs to judge it."""
+
+    index: int
+    """counts proposals from 0"""
+    t: float
+    """when it was ready, mission time [s]"""
+    kind: Literal["step", "shift"]
+    leg: int
+    """index 0 to 5 of the leg that swings, -1 for a shift"""
+    footfall_in_world: Vec3
+    """believed contact point the wheel shall come down on; of a shift, the hex origin at its end [m]"""
+    sequence: CommandSequence
+    """what goes up when it is approved, sag-compensated"""
+    preview_joints: Float[np.ndarray, "k 6 dof"]
+    """joints along the motion, as believed after sag [rad]"""
+    preview_world_from_hex: tuple[SE3, ...]
+    """chassis along the motion, one for each row of `preview_joints`"""
+    terrain: HeightGrid
+    """believed ground, NaN where unknown"""
+    footfall_ok: Bool[np.ndarray, "nx ny"]
+    """green cells of the terrain, where a wheel may stand; the others are red"""
+    cost: Float[np.ndarray, "nx ny"]
+    """of a footfall in each cell, NaN where vetoed or unknown"""
+    world_from_hex: SE3
+    """believed chassis before the motion"""
+    predicted_margin: float
+    """least stability margin along the motion [m]"""
+    predicted_sag: float
+    """largest sag of the chassis along the motion [m]"""
+    text: str
+    """one line that says what will happen and why"""
+
+    def __post_init__(self) -> None:
+        if len(self.preview_joints) != len(self.preview_world_from_hex):
+            raise ConfigError(
+                f"preview has {len(self.preview_joints)} rows of joints, {len(self.preview_world_from_hex)} chassis poses"
+            )
+        for name in ("footfall_ok", "cost"):
+            shape = getattr(self, name).shape
+            if shape != self.terrain.shape:
+                raise ConfigError(f"{name} has shape {shape}, the terrain has {self.terrain.shape}")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Decision:
+    """The operator's answer to a proposal."""
+
+    kind: DecisionKind
+    footfall_in_world: Vec3 | None = None
+    """of "edit_footfall": where the wheel shall come down instead [m]"""
+    leg: int | None = None
+    """of "choose_leg": index 0 to 5 of the leg that shall step instead"""
+    cameras: tuple[str, ...] = ()
+    """of "choose_cameras": pairs to take before anything moves"""
+    duration: float = 0.0
+    """of "wait" [s]"""
+
+    def __post_init__(self) -> None:
+        if self.kind not in DECISIONS:
+            raise ConfigError(f"decision {self.kind!r} is not one of {', '.join(DECISIONS)}")
+        footfall = self.footfall_in_world
+        if self.kind == "edit_footfall" and (footfall is None or not np.isfinite(footfall).all()):
+            raise ConfigError(f"decision 'edit_footfall' needs a finite footfall_in_world, got {footfall}")
+        if self.kind == "choose_leg" and self.leg not in range(6):
+            raise ConfigError(f"decision 'choose_leg' needs a leg index 0 to 5, got {self.leg}")
+        if self.kind == "choose_cameras" and not self.cameras:
+            raise ConfigError("decision 'choose_cameras' names no camera")
+        if self.kind == "wait" and not (np.isfinite(self.duration) and 0.0 < self.duration <= MAX_WAIT):
+            raise ConfigError(f"decision 'wait' of {self.duration} s is outside 0 to {MAX_WAIT:.0f} s")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Uplink:
+    """Something to send that needs no approval: an image request."""
+
+    sequence: CommandSequence
+
+
+@dataclass(frozen=True, kw_only=True)
+class Waiting:
+    """Nothing to do before more has come down."""
+
+    reason: str
+    """what is awaited"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Arrived:
+    """The ground believes that the robot stands at the goal."""
+
+    text: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoStep:
+    """The ground found nothing it may command."""
+
+    reason: str
+    refused: Mapping[str, int] = field(default_factory=dict)
+    """how many candidates each check refused"""
+
+
+Action = Proposal | Uplink | Arrived | NoStep | Waiting
+
+
+@runtime_checkable
+class GroundAgent(Protocol):
+    """The ground side as the environments see it: messages in, actions out. Mission time is an argument."""
+
+    @property
+    def ground_s(self) -> float:
+        """Computing time charged so far, from the fixed table [s]. It only grows."""
+
+    def observe(self, message: Message, t: float) -> None:
+        """Take one message that came down and arrived at mission time `t` [s]."""
+
+    def next(self, t: float) -> Action:
+        """What to do now. The same `Proposal` (same index) stands until it was decided."""
+
+    def decide(self, decision: Decision, t: float) -> CommandSequence | None:
+        """Apply the operator's answer to the standing proposal; the sequence to send, or None when nothing goes up."""
+
+
+class StageTimer(Protocol):
+    """Measures how long a stage takes; handed to the agent, since the planner reads no clock."""
+
+    def __call__(self, stage: str, /) -> AbstractContextManager[None]:
+        """Context in which `stage` runs."""
+
+
+def untimed(_stage: str, /) -> AbstractContextManager[None]:
+    """A `StageTimer` that measures nothing."""
+    return nullcontext()
+
+
+class Operator(Protocol):
+    """Whoever answers proposals."""
+
+    def decide(self, proposal: Proposal, t: float) -> tuple[Decision, float]:
+        """The answer to a proposal shown at mission time `t` [s], and the seconds it took, charged to the mission."""
+
+
+@dataclass(frozen=True)
+class ApproveAll:
+    """Approves whatever is proposed, at once."""
+
+    def decide(self, _proposal: Proposal, _t: float) -> tuple[Decision, float]:
+        """Approval, after 0 s."""
+        return Decision(kind="approve"), 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class RejectSome:
+    """Rejects the proposals with the given indices and approves the others: for tests of the way back."""
+
+    rejected: frozenset[int]
+    seconds: float = 5.0
+    """taken for every answer [s]"""
+
+    def decide(self, proposal: Proposal, _t: float) -> tuple[Decision, float]:
+        """Rejection of the named ones, approval of the others."""
+        kind: DecisionKind = "reject" if proposal.index in self.rejected else "approve"
+        return Decision(kind=kind), self.seconds
+
+
+def scripted_operator(name: str) -> Operator:
+    """An operator that needs nobody, by its name."""
+    if name == "approve_all":
+        return ApproveAll()
+    raise ConfigError(f"operator {name!r} is not known; known: {', '.join((*SCRIPTED_OPERATORS, 'human'))}")
