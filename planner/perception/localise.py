@@ -1,11 +1,11 @@
 """Where the chassis is: from the planted wheels and the inertial attitude, then corrected by aligning depth to the map.
 
-Model: a planted wheel stays where it was put, so the axles' believed places in hex (joints, sag) and their anchors in the
-world give the pose by a weighted rigid fit; roll and pitch are measured by the inertial unit and enter as two more
-residuals. What drifts that way (slip, sag errors) shows as a misfit between new depth and the fused map: a robust
-Gauss-Newton on the height differences finds the small motion that removes it. A motion that the ground's shape does not
-show (sideways on a plane) stays where the prior puts it, at zero, and a correction is only accepted when enough cells
-overlap, the fit is good and the motion is small: alignment may fail to help but must not harm.
+Model: a planted wheel stays where it was put, so the axles' believed places in hex (joints, sag) and their anchors in
+the world give the pose by a weighted rigid fit; roll and pitch are measured by the inertial unit and enter as two
+more residuals. What drifts that way (slip, sag errors) shows as a misfit between new depth and the fused map: a
+robust Gauss-Newton on the height differences finds the small motion that removes it. A motion that the ground's shape
+does not show (sideways on a plane) stays where the prior puts it, at zero, and a correction is only accepted when
+enough cells overlap, the fit is good and the motion is small: alignment may fail to help but must not harm.
 """
 
 from __future__ import annotations
@@ -192,9 +192,11 @@ def align_to_map(
     """
     config = AlignConfig() if config is None else config
     grid = terrain.grid
-    layout = GridLayout(origin_x=grid.origin_x, origin_y=grid.origin_y, cell=grid.cell, nx=grid.shape[0], ny=grid.shape[1])
+    nx, ny = grid.shape
+    layout = GridLayout(origin_x=grid.origin_x, origin_y=grid.origin_y, cell=grid.cell, nx=nx, ny=ny)
+    statistics = ElevationConfig() if elevation is None else elevation
     sigma = np.full(len(points_in_world), 0.01) if sigma_z is None else sigma_z
-    cells = measure_cells(points_in_world, sigma, layout=layout, config=ElevationConfig() if elevation is None else elevation)
+    cells = measure_cells(points_in_world, sigma, layout=layout, config=statistics)
     places = np.column_stack([cells.centroid, cells.height])
     known = np.isfinite(grid.sample(cells.centroid))
     places, variance = places[known], cells.variance[known] + terrain.variance.ravel()[cells.index[known]]
@@ -212,7 +214,8 @@ def align_to_map(
     length = float(np.linalg.norm(shift))
     reason = ""
     if inliers < config.min_inlier_fraction * len(places):
-        reason = f"{inliers} of {len(places)} cells fit within {config.inlier_limit} m, need {config.min_inlier_fraction:.0%}"
+        need = f"need {config.min_inlier_fraction:.0%}"
+        reason = f"{inliers} of {len(places)} cells fit within {config.inlier_limit} m, {need}"
     elif rmse > config.max_rmse:
         reason = f"rmse {rmse:.3f} m over the limit of {config.max_rmse} m"
     elif length > config.max_shift or angle > config.max_angle:
@@ -238,7 +241,8 @@ def _fit_to_grid(
     centre = places.mean(axis=0)
     rotation, shift = np.eye(3), np.zeros(3)
     slope_x, slope_y = _slopes(terrain)
-    sigmas = np.array([config.sigma_tilt, config.sigma_tilt, config.sigma_yaw, config.sigma_xy, config.sigma_xy, config.sigma_z])
+    turns = [config.sigma_tilt, config.sigma_tilt, config.sigma_yaw]
+    sigmas = np.array([*turns, config.sigma_xy, config.sigma_xy, config.sigma_z])
     prior = np.diag(1.0 / sigmas**2)
     for iteration in range(config.iterations):
         moved = (places - centre) @ rotation.T + centre + shift

@@ -1,9 +1,9 @@
 """Stereo pair -> depth image: the first stage of the ground's view of the terrain.
 
-Model: rectified eyes, so a point at depth z shifts by f b / z pixels along the row. OpenCV's semi-global matching finds
-the shift to 1/16 pixel; a second match with the roles of the eyes exchanged removes what only one eye sees. The error of
-a depth is the error of the shift seen through z = f b / d: sigma_z = z^2 sigma_d / (f b), and sigma_d grows where the
-texture along the row is weak against the image noise.
+Model: rectified eyes, so a point at depth z shifts by f b / z pixels along the row. OpenCV's semi-global matching
+finds the shift to 1/16 pixel; a second match with the roles of the eyes exchanged removes what only one eye sees. The
+error of a depth is the error of the shift seen through z = f b / d: sigma_z = z^2 sigma_d / (f b), and sigma_d grows
+where the texture along the row is weak against the image noise.
 
 Depth is along the boresight (z of the camera frame), not along the ray.
 """
@@ -85,7 +85,7 @@ class DepthImage:
 
     def points_in_camera(self) -> np.ndarray:
         """A point per pixel in the camera's frame, shape (h, w, 3), NaN where unknown [m]."""
-        return self.eye.rays() * self.depth[..., None]
+        return np.asarray(self.eye.rays() * self.depth[..., None])
 
 
 def match(pair: StereoPair, camera: StereoCamera, *, config: StereoConfig) -> DepthImage:
@@ -118,9 +118,8 @@ def _check(pair: StereoPair, camera: StereoCamera, eye: Pinhole) -> None:
         raise CameraError(f"pair comes from camera {pair.camera!r}, not from {camera.name!r}")
     need = (eye.height_px, eye.width_px)
     if pair.left.shape != need or pair.right.shape != need:
-        raise CameraError(
-            f"images of {camera.name} have shapes {pair.left.shape} and {pair.right.shape}, need {need} at binning {pair.binning}"
-        )
+        have = f"{pair.left.shape} and {pair.right.shape}"
+        raise CameraError(f"images of {camera.name} have shapes {have}, need {need} at binning {pair.binning}")
 
 
 def _depth_range(camera: StereoCamera, config: StereoConfig) -> tuple[float, float]:
@@ -152,19 +151,19 @@ def _consistent(matcher: cv2.StereoSGBM, left: Image, right: Image, largest: int
     """Disparities of the left image in sixteenths of a pixel, -16 where the two directions of matching disagree."""
     forward = _padded_disparity(matcher, left, right, largest)
     # Mirrored, the right eye is a left eye: the same matcher gives the right image's disparities.
-    backward = _padded_disparity(matcher, np.ascontiguousarray(right[:, ::-1]), np.ascontiguousarray(left[:, ::-1]), largest)
-    backward = backward[:, ::-1]
-    height, width = forward.shape
+    mirrored_left, mirrored_right = np.ascontiguousarray(right[:, ::-1]), np.ascontiguousarray(left[:, ::-1])
+    backward = _padded_disparity(matcher, mirrored_left, mirrored_right, largest)[:, ::-1]
+    width = forward.shape[1]
     columns = np.arange(width)[None, :] - np.rint(forward / SUBPIXEL).astype(np.int64)
-    outside = columns < 0
     back = np.take_along_axis(backward, np.clip(columns, 0, width - 1), axis=1)
     # Outside the right image nothing contradicts, but nothing was matched either.
-    agree = (np.abs(forward.astype(np.int64) - back) <= config.left_right_px * SUBPIXEL) & ~outside & (forward > 0) & (back > 0)
+    agree = np.abs(forward.astype(np.int64) - back) <= config.left_right_px * SUBPIXEL
+    agree &= (columns >= 0) & (forward > 0) & (back > 0)
     return np.where(agree, forward, np.int16(-16)).astype(np.int16)
 
 
 def _padded_disparity(matcher: cv2.StereoSGBM, left: Image, right: Image, largest: int) -> np.ndarray:
-    """OpenCV leaves the first `largest` columns unknown even for far points: pad them so that only the unseen is lost."""
+    """OpenCV leaves the first `largest` columns unknown even for far points: padded, only the unseen is lost."""
     a = cv2.copyMakeBorder(left, 0, 0, largest, 0, cv2.BORDER_REPLICATE)
     b = cv2.copyMakeBorder(right, 0, 0, largest, 0, cv2.BORDER_REPLICATE)
     return np.asarray(matcher.compute(a, b))[:, largest:]
@@ -180,4 +179,4 @@ def _sigma_disparity(left: Image, config: StereoConfig) -> np.ndarray:
     energy = np.maximum(energy - 12.0 / 64.0 * config.image_noise**2, 0.0)
     pixels = window[0] * window[1]
     noise = 2.0 * config.image_noise**2 / (pixels * np.maximum(energy, 1e-6))
-    return np.sqrt(config.sigma_disparity_px**2 + noise)
+    return np.asarray(np.sqrt(config.sigma_disparity_px**2 + noise))

@@ -1,8 +1,9 @@
 """Points of one view -> height, variance and count per cell of a world-fixed grid.
 
-Model: within a cell the points scatter by the stereo's noise and, at a rock's edge, by the rock itself. On flat ground
-the height is the median, which has no bias; where the upper quantile stands out of the expected noise the cell is steep,
-and the excess is added, so that a rock is never averaged away while a single stray point cannot raise the cell.
+Model: within a cell the points scatter by the stereo's noise and, at a rock's edge, by the rock itself. On flat
+ground the height is the median, which has no bias; where the upper quantile stands out of the expected noise the cell
+is steep, and the excess is added, so that a rock is never averaged away while a single stray point cannot raise the
+cell.
 """
 
 from __future__ import annotations
@@ -127,7 +128,7 @@ def measure_cells(
 
 @numba.njit(cache=True)
 @no_type_check
-def _cell_statistics(points, sigma, flat, cells, min_points, upper, allowance, correlated, floor, steep):  # noqa: ANN
+def _cell_statistics(points, sigma, flat, cells, min_points, upper, allowance, correlated, floor, steep):
     """Counting sort of the points by cell, then the statistics cell by cell."""
     counts = np.zeros(cells + 1, np.int64)
     for k in range(len(flat)):

@@ -2,15 +2,16 @@
 
 Model: a scalar Kalman filter per cell. Two views that agree sharpen the cell. Two that disagree by more than their
 variances allow do not average, since one of them is wrong (a piece of the robot's own leg, a false match): each cell
-counts how many views agreed with it, a contradicting view takes from that trust, and at none the newer view replaces the
-height. A fragment seen once is therefore gone after one clean view, and a cell seen well many times survives a fragment.
+counts how many views agreed with it, a contradicting view takes from that trust, and at none the newer view replaces
+the height. A fragment seen once is therefore gone after one clean view, and a cell seen well many times survives a
+fragment.
 
 The map is fixed to the world, so it outlives every pose of the robot; unknown cells are NaN until seen or touched.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -76,9 +77,8 @@ class FusedTerrain:
 
     def __post_init__(self) -> None:
         if self.variance.shape != self.grid.shape or self.count.shape != self.grid.shape:
-            raise TerrainError(
-                f"variance {self.variance.shape} and count {self.count.shape} must have the grid's shape {self.grid.shape}"
-            )
+            have = f"{self.variance.shape} and {self.count.shape}"
+            raise TerrainError(f"variance and count have shapes {have}, need the grid's {self.grid.shape}")
 
     @property
     def unknown(self) -> CellFlags:
@@ -88,7 +88,7 @@ class FusedTerrain:
     @property
     def sigma(self) -> Cells:
         """One sigma of the heights [m]."""
-        return np.sqrt(self.variance)
+        return np.asarray(np.sqrt(self.variance))
 
     def filled(self, method: str, *, margin: float = 0.0) -> FusedTerrain:
         """A copy without NaN; `unknown` still tells the guessed cells, whose variance stays infinite.
@@ -105,8 +105,9 @@ class FusedTerrain:
             raise TerrainError("no cell of the map is known, there is nothing to fill from")
         heights = _fill(self.grid.heights, unknown, method)
         heights[unknown] += margin
-        grid = HeightGrid(origin_x=self.grid.origin_x, origin_y=self.grid.origin_y, cell=self.grid.cell, heights=heights)
-        return FusedTerrain(grid=grid, variance=self.variance.copy(), count=self.count.copy())
+        return FusedTerrain(
+            grid=replace(self.grid, heights=heights), variance=self.variance.copy(), count=self.count.copy()
+        )
 
 
 class TerrainMap:

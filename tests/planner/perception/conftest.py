@@ -75,7 +75,8 @@ def telemetry() -> Telemetry:
     zero = np.zeros((6, 6))
     return Telemetry(
         seq=0, robot_id="test", t=5.0, joints=zero, motors=zero, torques=zero, attitude_rpy=np.zeros(3),
-        rates=np.zeros(3), acceleration=np.array([0.0, 0.0, 9.81]), executive_state="idle", sequence_id=-1, command_index=0,
+        rates=np.zeros(3), acceleration=np.array([0.0, 0.0, 9.81]), executive_state="idle", sequence_id=-1,
+        command_index=0,
     )  # fmt: skip
 
 

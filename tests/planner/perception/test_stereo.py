@@ -90,7 +90,7 @@ def test_pair_of_another_camera_is_refused(synth):
 
 
 def test_bad_settings_are_refused(synth):
-    with pytest.raises(ConfigError, match="fast.*3way"):
+    with pytest.raises(ConfigError, match=r"fast.*3way"):
         StereoConfig(mode="fast")
     with pytest.raises(ConfigError, match="odd"):
         StereoConfig(block_px=4)

@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -23,7 +25,7 @@ def flat(x, y):
     return np.zeros_like(x)
 
 
-def test_flat_cells_have_no_bias(rng=None):
+def test_flat_cells_have_no_bias():
     points, sigma = cloud(np.random.default_rng(1), flat, noise=0.02, n=60000)
     cells = measure_cells(points, sigma, layout=SMALL, config=ElevationConfig())
     assert abs(cells.height.mean()) < 0.001
@@ -67,7 +69,7 @@ def test_variance_shrinks_with_agreeing_views():
     for _ in range(4):
         terrain.fuse_points(*cloud(rng, flat))
         variances.append(np.median(terrain.fused().variance[5:-5, 5:-5]))
-    assert all(b < a for a, b in zip(variances, variances[1:], strict=False))
+    assert all(b < a for a, b in itertools.pairwise(variances))
 
 
 def test_fused_height_is_nearer_than_one_view():
@@ -219,7 +221,7 @@ def test_layout_is_centred_on_whole_cells(x, y, cell):
 def test_misuse_is_refused():
     with pytest.raises(ConfigError, match="outliers 'some'"):
         FusionConfig(outliers="some")
-    with pytest.raises(ConfigError, match="fill 'zero'.*nearest"):
+    with pytest.raises(ConfigError, match=r"fill 'zero'.*nearest"):
         TerrainMap(SMALL, config=FusionConfig()).fused().filled("zero")
     with pytest.raises(TerrainError, match="nothing to fill from"):
         TerrainMap(SMALL, config=FusionConfig()).fused().filled("nearest")

@@ -1,0 +1,161 @@
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from athlete_twin.errors import ConfigError
+from athlete_twin.geometry.se3 import SE3
+from planner.perception.self_mask import SelfMaskConfig, draw_robot, height_above_ground, remove_self, segment
+from planner.perception.stereo import StereoConfig, match
+
+UP = np.array([0.0, 0.0, 1.0])
+LEG, ROCK, SWUNG = 1, 2, 3
+
+
+@dataclass
+class Mesh:
+    link: str
+    vertices: np.ndarray
+    triangles: np.ndarray
+
+
+def tube(link, radius, low, high, n=32):
+    angle = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
+    ring = np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
+    vertices = np.vstack([np.column_stack([ring, np.full(n, z)]) for z in (low, high)])
+    k, m = np.arange(n), (np.arange(n) + 1) % n
+    sides = np.vstack([np.column_stack([k, m, k + n]), np.column_stack([m, m + n, k + n])])
+    caps = np.vstack([np.column_stack([np.zeros(n - 2, int) + s, k[1:-1] + s, k[2:] + s]) for s in (0, n)])
+    return Mesh(link, vertices, np.vstack([sides, caps]))
+
+
+@pytest.fixture
+def view(synth):
+    """A planted leg, a rock beside it and a swung leg, seen as a HazCam sees them; and what is where."""
+    camera = synth.looking(1.5, 42.0)
+    cylinders = [synth.Cylinder(2.0, 0.25, 0.11, 0.0, 1.2), synth.Cylinder(1.8, -0.35, 0.2, 0.0, 0.25)]
+    cylinders.append(synth.Cylinder(2.3, 0.85, 0.11, 0.45, 1.3))
+    scene = synth.Scene(cylinders)
+    depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
+    truth, _, what = scene.trace(camera.hex_from_camera, camera.eye)
+    parts = [tube("leg1", 0.11, 0.0, 1.2), tube("leg2", 0.11, 0.45, 1.3)]
+    places = {"leg1": np.array([2.0, 0.25, 0.0]), "leg2": np.array([2.3, 0.85, 0.0])}
+    poses = {name: SE3.from_translation(place) for name, place in places.items()}
+    return depth, truth, what, parts, poses
+
+
+def masked(view, method, *, shift=(0.0, 0.0, 0.0), ground=None):
+    depth, _, _, parts, poses = view
+    off = SE3.from_translation(np.array(shift))
+    return remove_self(
+        depth,
+        config=SelfMaskConfig(method=method),
+        parts=parts,
+        hex_from_link={n: off.compose(p) for n, p in poses.items()},
+        up_in_hex=UP,
+        ground_in_hex=np.zeros((0, 3)) if ground is None else ground,
+    )
+
+
+def scores(view, result):
+    """Recall of leg pixels that had depth and stand above the rest of the ground; terrain and rock lost."""
+    depth, truth, what, *_ = view
+    z = 1.5 + (depth.camera.hex_from_camera.rotate(depth.eye.rays()) * truth[..., None])[..., 2]
+    seen = np.isfinite(depth.depth)
+    leg = ((what == LEG) | (what == SWUNG)) & (z > 0.08)
+    return (
+        result.mask[leg & seen].mean(),
+        result.mask[(what == 0) & seen].mean(),
+        result.mask[(what == ROCK) & seen].mean(),
+    )
+
+
+@pytest.mark.parametrize("method", ["watershed", "kinematic", "combined"])
+def test_legs_go_and_rock_and_ground_stay(view, method):
+    recall, ground_lost, rock_lost = scores(view, masked(view, method))
+    assert recall > 0.95
+    assert ground_lost < 0.04
+    assert rock_lost < 0.1
+
+
+@pytest.mark.parametrize("method", ["kinematic", "combined"])
+def test_two_centimetres_of_wrong_belief_are_forgiven(view, method):
+    recall, ground_lost, rock_lost = scores(view, masked(view, method, shift=(0.01, 0.02, -0.01)))
+    assert recall > 0.95
+    assert ground_lost < 0.05
+    assert rock_lost < 0.1
+
+
+def test_combined_holds_where_the_drawing_alone_fails(view):
+    shift = (0.0, 0.06, 0.0)
+    recall = {m: scores(view, masked(view, m, shift=shift))[0] for m in ("kinematic", "combined")}
+    assert recall["combined"] > recall["kinematic"]
+    assert recall["combined"] > 0.95
+
+
+def test_masked_pixels_have_no_depth_and_others_keep_theirs(view):
+    depth = view[0]
+    result = masked(view, "combined")
+    assert np.isnan(result.depth.depth[result.mask]).all()
+    assert np.isnan(result.depth.sigma[result.mask]).all()
+    np.testing.assert_array_equal(result.depth.depth[~result.mask], depth.depth[~result.mask])
+    assert result.robot_labels
+
+
+def test_no_method_changes_nothing(view):
+    result = masked(view, "none")
+    assert result.depth is view[0]
+    assert not result.mask.any()
+
+
+def test_drawing_has_the_closed_form_depth(view):
+    depth, truth, what, parts, poses = view
+    drawn = draw_robot(depth, parts, poses)
+    leg = (what == LEG) | (what == SWUNG)
+    assert (np.isfinite(drawn) == leg).mean() > 0.995
+    both = leg & np.isfinite(drawn)
+    # The mesh is a polygon of 32 sides inside the cylinder: 0.5 mm at its radius, more where the ray grazes.
+    assert np.median(np.abs(drawn - truth)[both]) < 0.001
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_height_is_measured_from_tilted_ground(view, synth, known):
+    camera = synth.looking(1.5, 42.0)
+    scene = synth.Scene()
+    depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
+    contacts = np.array([[1.0, 0.0, 0.0], [3.0, 1.0, 0.0], [2.0, -1.0, 0.0]]) if known else np.zeros((0, 3))
+    slanted_up = SE3.from_rpy(0.08, -0.1, 0.0).rotate(UP)
+    height = height_above_ground(depth, slanted_up, contacts)
+    assert abs(np.nanmedian(height)) < 0.02
+    assert np.nanquantile(np.abs(height), 0.95) < 0.06
+
+
+def test_segments_end_at_depth_edges(view):
+    depth, _, what, *_ = view
+    height = height_above_ground(depth, UP, np.zeros((0, 3)))
+    labels = segment(depth, height, config=SelfMaskConfig())
+    legs = {n for k in (LEG, SWUNG) for n in np.unique(labels[(what == k) & (labels > 1)]) if (labels == n).sum() > 200}
+    for n in legs:
+        inside = what[labels == n]
+        assert np.mean((inside == LEG) | (inside == SWUNG)) > 0.85
+
+
+def test_image_without_robot_keeps_everything(view, synth):
+    camera = synth.looking(1.5, 42.0)
+    scene = synth.Scene([synth.Cylinder(1.8, -0.35, 0.25, 0.0, 0.4), synth.Cylinder(2.4, 0.5, 0.15, 0.0, 0.25)])
+    depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
+    for method in ("watershed", "combined", "kinematic"):
+        result = remove_self(
+            depth,
+            config=SelfMaskConfig(method=method),
+            parts=[],
+            hex_from_link={},
+            up_in_hex=UP,
+            ground_in_hex=np.zeros((0, 3)),
+        )
+        assert result.mask.mean() < 0.001
+
+
+def test_unknown_method_is_refused():
+    with pytest.raises(ConfigError, match=r"self_mask method 'magic'.*watershed, kinematic, combined, none"):
+        SelfMaskConfig(method="magic")
