@@ -62,10 +62,9 @@ class Proposal:
     """one line that says what will happen and why"""
 
     def __post_init__(self) -> None:
-        if len(self.preview_joints) != len(self.preview_world_from_hex):
-            raise ConfigError(
-                f"preview has {len(self.preview_joints)} rows of joints, {len(self.preview_world_from_hex)} chassis poses"
-            )
+        rows, poses = len(self.preview_joints), len(self.preview_world_from_hex)
+        if rows != poses:
+            raise ConfigError(f"preview has {rows} rows of joints but {poses} chassis poses")
         for name in ("footfall_ok", "cost"):
             shape = getattr(self, name).shape
             if shape != self.terrain.shape:
