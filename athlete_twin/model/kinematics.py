@@ -29,13 +29,15 @@ class Kinematics:
         urdf = robot_dir(spec.name) / "robot.urdf"
         if not urdf.is_file():
             raise AssetError(f"{urdf.name} of {spec.name} is missing; run scripts/build_assets.py")
-        full = pin.buildModelFromUrdf(str(urdf))
-        locked = [full.getJointId(n) for n in full.names if n.startswith(("wheel", "dock"))]
+        # Links and joints share their names in the URDF; Pinocchio's reduction looks frames up by name alone.
+        text = urdf.read_text().replace('<joint name="', '<joint name="joint_')
+        full = pin.buildModelFromXML(text)
+        locked = [full.getJointId(n) for n in full.names if n.startswith(("joint_wheel", "joint_dock"))]
         self.pin_model: Any = pin.buildReducedModel(full, locked, pin.neutral(full))
         self.pin_data: Any = self.pin_model.createData()
         model = self.pin_model
         self._q_of = np.array(
-            [[model.joints[model.getJointId(f"leg{leg + 1}_{n}")].idx_q for n in spec.joint_names] for leg in range(LEGS)]
+            [[model.joints[model.getJointId(f"joint_leg{leg + 1}_{n}")].idx_q for n in spec.joint_names] for leg in range(LEGS)]
         )
         self._wheel_frames = [model.getFrameId(f"wheel{leg + 1}", pin.FrameType.BODY) for leg in range(LEGS)]
         self._link_frames = {f.name: i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY}

@@ -25,6 +25,8 @@ from athlete_twin.world.bullet_world import TICK, BulletWorld
 
 WHEEL_LOCK = 2.0e4
 """holds a locked wheel against its fork [N m/rad]"""
+DISTAL = ("knee_pitch", "knee_roll", "ankle_pitch", "ankle_roll")
+"""links that get the truth's armature"""
 RUNAWAY_SPEED = 20.0
 """a chassis faster than this is no robot any more [m/s]"""
 
@@ -226,11 +228,12 @@ class Body:
             info = b.getDynamicsInfo(robot, i, physicsClientId=client)
             scale = self.trial.mass_scale.get(name, 1.0)
             mass = info[0] * scale
+            armature = self.trial.truth.joint_armature if name.endswith(DISTAL) else 0.0
             b.changeDynamics(
                 robot,
                 i,
                 mass=mass,
-                localInertiaDiagonal=[scale * moment for moment in info[2]],
+                localInertiaDiagonal=[scale * moment + armature for moment in info[2]],
                 linearDamping=0.0,
                 angularDamping=0.0,
                 jointDamping=0.0,

@@ -29,6 +29,8 @@ class Truth:
     joint_stiffness: LegJoints
     """series stiffness of one leg's joints [N m/rad]"""
     joint_damping_ratio: float
+    joint_armature: float
+    """reflected rotor inertia of the four distal joints of a leg [kg m2]"""
     tyre_k1: float
     """[N/m]"""
     tyre_k2: float
@@ -92,6 +94,7 @@ def load_truth(robot: str) -> Truth:
         return Truth(
             joint_stiffness=figure(c["joint"]["stiffness"]),
             joint_damping_ratio=figure(c["joint"]["damping_ratio"]),
+            joint_armature=figure(c["joint"]["armature"]),
             tyre_k1=figure(c["tyre"]["k1"]),
             tyre_k2=figure(c["tyre"]["k2"]),
             tyre_lateral_stiffness=figure(c["tyre"]["lateral_stiffness"]),
