@@ -55,7 +55,7 @@ make_venv() {
     "$python" -m venv --clear "$venv"
 }
 
-pip_install() { "$venv/bin/python" -m pip install -q --disable-pip-version-check -c constraints.txt -e '.[dev]'; }
+pip_install() { "$venv/bin/python" -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'; }
 
 libraries_load() {
     # In one interpreter, as the programs use them. Open3D goes through the loader, which names what is missing.
