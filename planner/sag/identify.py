@@ -1,0 +1,124 @@
+"""The best spring constant from measured chassis corner heights, by exhaustive search ([SunSpiral2012] s5.1.2-5.1.3).
+
+A robot is calibrated again after a change by a few stances (all wheels down, one leg lifted, ...) in which the heights
+of the chassis corners were measured. Every constant below an upper bound, the tyre's own, is tried; the one with the
+least mean error over all points wins.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from athlete_twin.errors import SagError
+from athlete_twin.geometry.arrays import PerLeg, Points3, Vec3, Wheels
+from planner.sag.sag_model import DOWN, SagSolution, solve_sag
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class MeasuredStance:
+    """One stance and the heights that were measured in it."""
+
+    feet_in_hex: Wheels
+    """where the springs hold the feet, without sag, shape (6, 3) [m]"""
+    com_in_hex: Vec3
+    """[m]"""
+    weight: float
+    """with payload [N]"""
+    lifts: PerLeg
+    """height of each foot over its contact point without sag, shape (6,) [m]"""
+    corners_in_hex: Points3
+    """points on the chassis, shape (c, 3) [m]"""
+    heights: np.ndarray
+    """measured heights of these points, shape (c,) [m]"""
+    origin_height: float
+    """height of the hex origin if nothing sagged, above what `heights` are measured from [m]"""
+    gravity_in_hex: Vec3 = field(default_factory=lambda: DOWN.copy())
+    """where gravity points"""
+
+    def __post_init__(self) -> None:
+        if len(self.corners_in_hex) == 0 or np.shape(self.heights) != (len(self.corners_in_hex),):
+            raise SagError(f"{len(self.corners_in_hex)} corners need as many heights, got {np.shape(self.heights)}")
+        if not np.isfinite(self.heights).all():
+            raise SagError("measured heights must be finite; leave out the corners that were not measured")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StiffnessFit:
+    """The best constant and how well it explains the measurements."""
+
+    stiffness: float
+    """along gravity, the same under every foot [N/m]"""
+    mean_error: float
+    """mean absolute error over all corners of all stances [m]"""
+    max_error: float
+    """largest absolute error [m]"""
+    candidates: np.ndarray
+    """constants tried, shape (n,) [N/m]"""
+    mean_errors: np.ndarray
+    """mean absolute error of each, shape (n,); infinite where a stance has no solution [m]"""
+
+
+def corner_heights(stance: MeasuredStance, solution: SagSolution) -> np.ndarray:
+    """Predicted heights of a stance's corners, shape (c,) [m]."""
+    up = -np.asarray(stance.gravity_in_hex, dtype=float) / np.linalg.norm(stance.gravity_in_hex)
+    return np.asarray(stance.origin_height + solution.unsagged_from_sagged.apply(stance.corners_in_hex) @ up)
+
+
+def predict_heights(stance: MeasuredStance, *, stiffness_z: PerLeg, lateral_ratio: float) -> np.ndarray:
+    """Corner heights (c,) with given springs [m]; minus infinity when the springs do not hold the stance."""
+    solution = solve_sag(
+        stance.feet_in_hex,
+        stance.com_in_hex,
+        stance.weight,
+        stiffness_z=stiffness_z,
+        lateral_ratio=lateral_ratio,
+        lifts=stance.lifts,
+        gravity_in_hex=stance.gravity_in_hex,
+    )
+    if not solution.converged:
+        return np.full(len(stance.corners_in_hex), -np.inf)
+    return corner_heights(stance, solution)
+
+
+def identify_stiffness(
+    stances: Sequence[MeasuredStance],
+    *,
+    upper: float,
+    lower: float = 2000.0,
+    step: float = 250.0,
+    lateral_ratio: float = 0.5,
+) -> StiffnessFit:
+    """The constant with the least mean error over all measured corners.
+
+    Args:
+        stances: what was measured.
+        upper: bound that the constant stays at or below: the tyre's own constant, since legs only add compliance [N/m].
+        lower: where the search begins [N/m]; there a robot of 850 kg sinks 0.7 m.
+        step: distance of candidates [N/m].
+        lateral_ratio: horizontal over vertical stiffness, not searched: heights hardly tell it.
+    """
+    if not stances:
+        raise SagError("no stance was measured; a few are needed, such as all wheels down and one leg lifted")
+    if not (0.0 < lower < upper and step > 0.0):
+        raise SagError(f"search from {lower} to {upper} N/m in steps of {step} N/m has no candidate")
+    candidates = np.arange(lower, upper + 1e-9 * upper, step)
+    mean_errors, max_errors = np.empty(len(candidates)), np.empty(len(candidates))
+    for place, stiffness in enumerate(candidates):
+        springs = np.full(6, stiffness)
+        errors = np.concatenate(
+            [np.abs(predict_heights(s, stiffness_z=springs, lateral_ratio=lateral_ratio) - s.heights) for s in stances]
+        )
+        mean_errors[place], max_errors[place] = float(errors.mean()), float(errors.max())
+    best = int(np.argmin(mean_errors))
+    if not np.isfinite(mean_errors[best]):
+        raise SagError(f"no constant from {lower} to {upper} N/m holds all {len(stances)} stances")
+    return StiffnessFit(
+        stiffness=float(candidates[best]),
+        mean_error=float(mean_errors[best]),
+        max_error=float(max_errors[best]),
+        candidates=candidates,
+        mean_errors=mean_errors,
+    )
