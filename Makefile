@@ -63,6 +63,6 @@ bench: $(STAMP)  ## print the performance tables
 assets: $(STAMP)  ## generate URDF and meshes again from the drawings
 	$(BIN)/python scripts/build_assets.py
 
-clean:  ## remove what the tools left; .venv stays
-	rm -rf demo_out out build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis *.egg-info
+clean:  ## remove what the tools left; .venv and out/ stay
+	rm -rf demo_out build dist .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis *.egg-info
 	find $(PACKAGES) tests scripts -name __pycache__ -type d -prune -exec rm -rf {} +
