@@ -5,8 +5,11 @@ The twin (`athlete.Athlete`) and the mock (`mock.MockAthlete`) keep it; a real m
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol, runtime_checkable
 
+from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Message, Stop
 
 
@@ -41,3 +44,98 @@ class Robot(Protocol):
 
     def close(self) -> None:
         """Free what it holds."""
+
+
+class TruthView(Protocol):
+    """What is really so with a simulated robot: for scores, recordings and films, never for the ground."""
+
+    @property
+    def t(self) -> float:
+        """Mission time [s]."""
+
+    @property
+    def world_from_hex(self) -> SE3:
+        """The chassis."""
+
+    @property
+    def joints(self) -> Joints:
+        """Angles after the wind-up [rad]."""
+
+    @property
+    def torques(self) -> Joints:
+        """[N m]."""
+
+    @property
+    def wheel_loads(self) -> PerLeg:
+        """Along the ground's normal [N]."""
+
+    @property
+    def wheels_in_world(self) -> Wheels:
+        """Axle centres [m]."""
+
+    @property
+    def com_in_world(self) -> Vec3:
+        """Centre of mass [m]."""
+
+    @property
+    def phases(self) -> tuple[str, ...]:
+        """Per leg "stance", "lift_off", "swing" or "descent"."""
+
+    @property
+    def peak_torque_fraction(self) -> float:
+        """Largest so far, low-passed at 0.1 s."""
+
+
+class TrackView(Protocol):
+    """One sample of the true motion."""
+
+    @property
+    def t(self) -> float:
+        """Mission time [s]."""
+
+    @property
+    def world_from_hex(self) -> SE3:
+        """The chassis."""
+
+    @property
+    def joints(self) -> Joints:
+        """Angles after the wind-up [rad]."""
+
+
+class CollisionView(Protocol):
+    """One contact episode of a part that should touch nothing."""
+
+    @property
+    def t(self) -> float:
+        """When it began [s]."""
+
+    @property
+    def part(self) -> str:
+        """Link that touched."""
+
+    @property
+    def other(self) -> str:
+        """What it touched."""
+
+    @property
+    def place_in_world(self) -> Vec3:
+        """[m]."""
+
+    @property
+    def force(self) -> float:
+        """At its beginning [N]."""
+
+
+class SimulatedRobot(Robot, Protocol):
+    """A robot whose truth can be asked."""
+
+    @property
+    def track(self) -> Sequence[TrackView]:
+        """True motion so far, sampled at fixed times while moving."""
+
+    @property
+    def collisions(self) -> Sequence[CollisionView]:
+        """Contact episodes so far."""
+
+    def truth(self) -> TruthView:
+        """What is really so now."""

@@ -1,0 +1,342 @@
+"""A robot without physics, for developing against the link: it does at once what it is told, on flat ground.
+
+The same executive runs the same commands. In place of physics stands a chassis that sinks into six equal linear foot
+springs (the drawings' belief, so that guards see loads), keeps its planted wheels where they are and is always settled.
+Joints do not wind up. Its pictures show a flat, textured ground without robot or rocks.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
+from athlete_twin.geometry.arrays import Image, Joints, PerLeg, PerLegFlag, Vec2, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Message, Receipt, StereoPair, Stop, Telemetry
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.spec import LEGS, RobotSpec
+from athlete_twin.model.stance import regular_stance
+from athlete_twin.moves import Sensed
+
+TELEMETRY_PERIOD = 1.0
+"""while a sequence runs, DESIGN.md [s]"""
+TRACK_PERIOD = 0.5
+"""of the recorded motion while a sequence runs [s]"""
+SETTLED = 1e-9
+"""change of the chassis' height and tilt at which the springs balance [m, rad]"""
+EXPOSURE = 0.004
+"""of every picture [s]"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class MockTruth:
+    """What is so with the mock. The names are the twin's."""
+
+    t: float
+    world_from_hex: SE3
+    joints: Joints
+    motors: Joints
+    torques: Joints
+    wheel_loads: PerLeg
+    wheels_in_world: Wheels
+    com_in_world: Vec3
+    phases: tuple[str, ...]
+    moving: bool
+    peak_torque_fraction: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MockTrackPoint:
+    """One sample of the mock's motion."""
+
+    t: float
+    world_from_hex: SE3
+    joints: Joints
+
+
+class MockAthlete:
+    """One robot on flat ground at height 0. Implements the `Robot` protocol and is asked for its truth like the twin."""
+
+    def __init__(self, spec: RobotSpec) -> None:
+        self.spec, self.robot_id = spec, spec.name
+        self.kin = Kinematics(spec)
+        self.executive = Executive(kin=self.kin, setpoint=regular_stance(spec))
+        self.t = 0.0
+        self.collisions: list[MockCollision] = []
+        self.track: list[MockTrackPoint] = []
+        self.peak_torque_fraction = 0.0
+        self._counts: dict[str, int] = {}
+        self._last_telemetry = self._last_track = -np.inf
+        self._height_tilt = np.array([spec.chassis_height, 0.0, 0.0])
+        self._place_xy_yaw = np.zeros(3)
+        wheels = self.kin.wheels_in_hex(self.executive.setpoint)
+        self._anchors = wheels[:, :2].copy()
+        self._loads = np.zeros(LEGS)
+        self._world_from_hex = SE3.identity()
+        self._settle()
+        self._record_track()
+
+    # --- Robot protocol -------------------------------------------------------------------------------------------
+
+    @property
+    def busy(self) -> bool:
+        """Whether the executive has anything to do."""
+        return self.executive.busy
+
+    def receive(self, message: CommandSequence | Stop) -> list[Message]:
+        """Take what came up the link; the receipts this makes at once."""
+        made = self._tell(self.executive.accept(message))
+        if isinstance(message, Stop):
+            made.append(self._telemetry())
+        return made
+
+    def advance(self, until: float) -> list[Message]:
+        """Run to mission time `until` [s], or until something goes down, whichever comes first."""
+        out: list[Message] = []
+        while self.t < until - 1e-9 and not out:
+            if not self.executive.busy:
+                self.t = until
+                break
+            out = self._control_tick()
+        return out
+
+    def close(self) -> None:
+        """Holds nothing."""
+
+    def truth(self) -> MockTruth:
+        """What is so now."""
+        joints = self.executive.setpoint
+        return MockTruth(
+            t=self.t,
+            world_from_hex=self._world_from_hex,
+            joints=joints.copy(),
+            motors=joints.copy(),
+            torques=self._torques(),
+            wheel_loads=self._loads.copy(),
+            wheels_in_world=self._world_from_hex.apply(self.kin.wheels_in_hex(joints)),
+            com_in_world=self._world_from_hex.apply(self.kin.com_in_hex(joints)),
+            phases=tuple(self.executive.phases),
+            moving=self.executive.busy,
+            peak_torque_fraction=self.peak_torque_fraction,
+        )
+
+    # --- internals ------------------------------------------------------------------------------------------------
+
+    def _control_tick(self) -> list[Message]:
+        state = self.executive.state
+        torques = self._torques()
+        fraction = float((np.abs(torques) / self.spec.torque_limits).max())
+        self.peak_torque_fraction = max(self.peak_torque_fraction, fraction)
+        sensed = Sensed(joints=self.executive.setpoint, torques=torques, attitude_rpy=self._world_from_hex.rpy())
+        before = self.executive.setpoint
+        events = self.executive.tick(sensed)
+        if self.executive.setpoint is not before:
+            self._settle()
+        self.t += CONTROL_PERIOD
+        if self.t - self._last_track >= TRACK_PERIOD:
+            self._record_track()
+        made = self._tell(events)
+        due = self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD
+        if due or state != self.executive.state:
+            made.append(self._telemetry())
+        return made
+
+    def _settle(self) -> None:
+        """New chassis pose: height and tilt balance the weight on the springs, planted wheels keep their places."""
+        joints = self.executive.setpoint
+        wheels, com = self.kin.wheels_in_hex(joints), self.kin.com_in_hex(joints)
+        self._height_tilt, self._loads = balance(
+            wheels,
+            com,
+            start=self._height_tilt,
+            radius=self.spec.wheel.radius,
+            stiffness=self.spec.believed_foot_stiffness,
+            weight=self.spec.mass * GRAVITY,
+        )
+        level_from_hex = SE3.from_rpy(self._height_tilt[1], self._height_tilt[2], 0.0)
+        plan = level_from_hex.apply(wheels)[:, :2]
+        planted = (self._loads > 0.0) & np.array([p == "stance" for p in self.executive.phases])
+        if planted.sum() >= 2:
+            self._place_xy_yaw = fit_plan(plan, self._anchors, planted)
+        x, y, yaw = self._place_xy_yaw
+        turn = SE3.from_rpy(0.0, 0.0, yaw, np.array([x, y, self._height_tilt[0]]))
+        self._world_from_hex = turn.compose(level_from_hex)
+        here = self._world_from_hex.apply(wheels)[:, :2]
+        self._anchors = np.where(planted[:, None], self._anchors, here)
+
+    def _torques(self) -> Joints:
+        joints = self.executive.setpoint
+        to_hex = self._world_from_hex.rotation.T
+        up = to_hex @ np.array([0.0, 0.0, 1.0])
+        contacts = self.kin.wheels_in_hex(joints) - self.spec.wheel.radius * up
+        return self.kin.gravity_torques(joints, -GRAVITY * up, self._loads[:, None] * up, contacts)
+
+    def _tell(self, events: list[Event]) -> list[Message]:
+        out: list[Message] = []
+        for e in events:
+            if e.kind == "fault":
+                out.append(
+                    Fault(
+                        seq=self._next("fault"),
+                        robot_id=self.robot_id,
+                        t=self.t,
+                        code=e.status,
+                        text=e.text,
+                        sequence_id=e.sequence_id,
+                        command_index=e.command_index,
+                        leg=e.leg,
+                    )
+                )
+            elif e.request is not None:
+                out.extend(self._capture(e, e.request))
+            else:
+                out.append(
+                    Receipt(
+                        seq=self._next("receipt"),
+                        robot_id=self.robot_id,
+                        t=self.t,
+                        sequence_id=e.sequence_id,
+                        command_index=e.command_index,
+                        status=e.status,
+                        text=e.text,
+                    )
+                )
+        return out
+
+    def _capture(self, event: Event, request: ImageRequest) -> list[Message]:
+        known = {c.name: c for c in self.spec.cameras}
+        for name in request.cameras:
+            if name not in known:
+                text = f"camera {name!r} is not on {self.spec.name}"
+                return self._tell([replace(event, kind="fault", status="bad_command", text=text, request=None)])
+        state = self._telemetry()
+        out: list[Message] = []
+        for name in request.cameras:
+            camera = known[name]
+            eye = camera.eye.binned(request.binning)
+            views = [
+                ground_picture(eye.rays(), self._world_from_hex.compose(hex_from_eye))
+                for hex_from_eye in (camera.hex_from_camera, camera.hex_from_right())
+            ]
+            out.append(
+                StereoPair(
+                    seq=self._next("stereo_pair"),
+                    robot_id=self.robot_id,
+                    t=self.t,
+                    camera=name,
+                    binning=request.binning,
+                    left=views[0],
+                    right=views[1],
+                    exposure=EXPOSURE,
+                    state=state,
+                )
+            )
+        return out
+
+    def _telemetry(self) -> Telemetry:
+        self._last_telemetry = self.t
+        up = self._world_from_hex.rotation.T @ np.array([0.0, 0.0, GRAVITY])
+        return Telemetry(
+            seq=self._next("telemetry"),
+            robot_id=self.robot_id,
+            t=self.t,
+            joints=self.executive.setpoint.copy(),
+            motors=self.executive.setpoint.copy(),
+            torques=self._torques(),
+            attitude_rpy=self._world_from_hex.rpy(),
+            rates=np.zeros(3),
+            acceleration=up,
+            executive_state=self.executive.state,
+            sequence_id=self.executive.sequence_id,
+            command_index=self.executive.command_index,
+        )
+
+    def _next(self, kind: str) -> int:
+        count = self._counts.get(kind, 0)
+        self._counts[kind] = count + 1
+        return count
+
+    def _record_track(self) -> None:
+        self._last_track = self.t
+        point = MockTrackPoint(t=self.t, world_from_hex=self._world_from_hex, joints=self.executive.setpoint.copy())
+        self.track.append(point)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MockCollision:
+    """Never made: the mock touches nothing. It stands here so that its list has the twin's type."""
+
+    t: float
+    part: str
+    other: str
+    place_in_world: Vec3
+    force: float
+
+
+def balance(
+    wheels_in_hex: Wheels, com_in_hex: Vec3, *, start: np.ndarray, radius: float, stiffness: float, weight: float
+) -> tuple[np.ndarray, PerLeg]:
+    """Height, roll and pitch of the chassis on six vertical springs, shape (3,), and the load on each wheel (6,) [N].
+
+    Newton's method for small tilts; a wheel above the ground carries nothing.
+    """
+    state = np.asarray(start, dtype=float).copy()
+    loads = np.zeros(LEGS)
+    for _ in range(30):
+        rotation = SE3.from_rpy(state[1], state[2], 0.0).rotation
+        wheels, com = wheels_in_hex @ rotation.T, rotation @ com_in_hex
+        sink = radius - (state[0] + wheels[:, 2])
+        loads = stiffness * np.maximum(sink, 0.0)
+        arm = wheels[:, :2] - com[:2]
+        residual = np.array([loads.sum() - weight, loads @ arm[:, 1], -(loads @ arm[:, 0])])
+        # How fast each wheel sinks with height, roll and pitch; the weakly held rest keeps a hovering chassis solvable.
+        sinking = np.column_stack([-np.ones(LEGS), -wheels[:, 1], wheels[:, 0]])
+        rows = np.column_stack([np.ones(LEGS), arm[:, 1], -arm[:, 0]])
+        spring = np.where(sink > 0.0, stiffness, 1e-3 * stiffness)
+        change = np.linalg.solve((rows * spring[:, None]).T @ sinking, -residual)
+        change *= min(1.0, 0.05 / max(float(np.abs(change).max()), 1e-12))
+        state += change
+        if np.abs(change).max() < SETTLED:
+            break
+    return state, loads
+
+
+def fit_plan(points: np.ndarray, places: np.ndarray, used: PerLegFlag) -> Vec3:
+    """x, y and yaw that bring the used `points` (6, 2) onto their `places` (6, 2), least squares."""
+    p, q = points[used], places[used]
+    p0, q0 = p.mean(axis=0), q.mean(axis=0)
+    dp, dq = p - p0, q - q0
+    yaw = float(np.arctan2(np.sum(dp[:, 0] * dq[:, 1] - dp[:, 1] * dq[:, 0]), np.sum(dp * dq)))
+    shift: Vec2 = q0 - np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]) @ p0
+    return np.array([shift[0], shift[1], yaw])
+
+
+def ground_picture(rays: np.ndarray, world_from_eye: SE3) -> Image:
+    """What an eye sees of flat textured ground at height 0, sky above, 8-bit grey."""
+    directions = world_from_eye.rotate(rays)
+    down = -directions[..., 2]
+    on_ground = down > 0.02
+    reach = world_from_eye.translation[2] / np.where(on_ground, down, 1.0)
+    xy = world_from_eye.translation[:2] + reach[..., None] * directions[..., :2]
+    xy = np.where(on_ground[..., None], xy, 0.0)
+    grey = 110.0 + 50.0 * _texture(xy / 0.05) + 40.0 * _texture(xy / 0.31 + 17.0)
+    return np.where(on_ground, np.clip(grey, 0.0, 255.0), 225.0).astype(np.uint8)
+
+
+def _texture(xy: np.ndarray) -> np.ndarray:
+    """Value noise in [-1, 1] at points (..., 2), one lattice cell a unit."""
+    base = np.floor(xy)
+    f = xy - base
+    f = f * f * (3.0 - 2.0 * f)
+    i, j = base[..., 0].astype(np.int64), base[..., 1].astype(np.int64)
+    low = _hash(i, j) * (1 - f[..., 0]) + _hash(i + 1, j) * f[..., 0]
+    high = _hash(i, j + 1) * (1 - f[..., 0]) + _hash(i + 1, j + 1) * f[..., 0]
+    return np.asarray(low * (1 - f[..., 1]) + high * f[..., 1])
+
+
+def _hash(i: np.ndarray, j: np.ndarray) -> np.ndarray:
+    mixed = (i * 73856093) ^ (j * 19349663)
+    mixed = ((mixed ^ (mixed >> 13)) * 1274126177) & 0xFFFFFF
+    return np.asarray(mixed / float(0x7FFFFF) - 1.0)
