@@ -7,6 +7,7 @@ and one seed gives one path.
 
 from __future__ import annotations
 
+import itertools
 from functools import lru_cache
 from typing import Any
 
@@ -122,7 +123,7 @@ def _plan_ompl(
     states = definition.getSolutionPath().getStates()
     path = np.array([[s[i] for i in range(dof)] for s in states])
     # OMPL's resolution is of the space's largest extent and rounded: the path is checked again by our own measure.
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in itertools.pairwise(path):
         if not EdgeCheck(a, b).is_free(checker, config.resolution):
             return NoPath(reason="recheck", checks=checker.count, detail=f"{name}: an edge collides at our resolution")
     return path

@@ -106,7 +106,8 @@ def check_problem(start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper:
         raise PlanningError(f"start, goal, lower and upper need one shape (dof,), got {sorted(shapes)}")
     for name, q in (("start", start), ("goal", goal)):
         if not np.isfinite(q).all() or (q < lower).any() or (q > upper).any():
-            raise PlanningError(f"{name} {np.round(q, 4)} is outside the box {np.round(lower, 4)} to {np.round(upper, 4)}")
+            box = f"{np.round(lower, 4)} to {np.round(upper, 4)}"
+            raise PlanningError(f"{name} {np.round(q, 4)} is outside the box {box}")
 
 
 class BudgetSpentError(Exception):
@@ -122,6 +123,7 @@ class CountingChecker:
         self.count = 0
 
     def __call__(self, q: np.ndarray) -> bool:
+        """Whether q is free; raises `BudgetSpentError` instead of a check too many."""
         if self._budget is not None and self.count >= self._budget:
             raise BudgetSpentError
         self.count += 1
@@ -159,7 +161,7 @@ class EdgeCheck:
 
 
 class _Search:
-    """Both trees. Milestones are numbered as they come; 0 is the start, 1 the goal; `side` says whose tree one is in."""
+    """Both trees. Milestones are numbered as they come, 0 the start, 1 the goal; `side` says whose tree one is in."""
 
     def __init__(
         self,

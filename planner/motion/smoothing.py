@@ -7,6 +7,7 @@ new edge to the planner's resolution and can only shorten. Reference: [SunSpiral
 from __future__ import annotations
 
 import heapq
+import itertools
 from dataclasses import dataclass
 
 import numpy as np
@@ -52,7 +53,7 @@ def smooth(path: LegPath, is_free: IsFree, config: SmoothingConfig) -> SmoothPat
     if nodes.ndim != 2 or len(nodes) < 2 or not np.isfinite(nodes).all():
         raise PlanningError(f"a path needs finite shape (k, dof) with k >= 2, got {nodes.shape}")
     edges = _Edges(CountingChecker(is_free), config.resolution)
-    for a, b in zip(nodes[:-1], nodes[1:], strict=True):
+    for a, b in itertools.pairwise(nodes):
         edges.trust(a, b)
     lengths = [path_length(nodes)]
     for round_ in range(config.max_rounds):
@@ -128,7 +129,7 @@ def _bisected(nodes: np.ndarray, edges: _Edges) -> np.ndarray:
     out = np.empty((2 * len(nodes) - 1, nodes.shape[1]))
     out[0::2] = nodes
     out[1::2] = 0.5 * (nodes[:-1] + nodes[1:])
-    for a, b in zip(out[:-1], out[1:], strict=True):
+    for a, b in itertools.pairwise(out):
         edges.trust(a, b)
     return out
 

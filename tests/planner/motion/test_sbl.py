@@ -1,3 +1,5 @@
+import itertools
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -24,7 +26,7 @@ def enclosed(q: np.ndarray) -> bool:
 
 def assert_path_is_free(path: np.ndarray, is_free, gap: float = RESOLUTION) -> None:
     """Every edge, at 20 times the planner's resolution, allowing nothing thinner than the resolution to hide."""
-    for a, b in zip(path[:-1], path[1:], strict=True):
+    for a, b in itertools.pairwise(path):
         n = max(2, int(np.ceil(np.linalg.norm(b - a) / gap * 20)))
         hits = [not is_free(a + s * (b - a)) for s in np.linspace(0, 1, n)]
         longest = run = 0
@@ -66,7 +68,7 @@ def test_ends_in_collision_are_named():
 
 
 def test_a_goal_outside_the_box_is_refused():
-    with pytest.raises(PlanningError, match="goal .* is outside the box"):
+    with pytest.raises(PlanningError, match=r"goal .* is outside the box"):
         plan_sbl(START, GOAL + 1, LOWER, UPPER, through_gap, np.random.default_rng(0), SblConfig())
     with pytest.raises(PlanningError, match="one shape"):
         check_problem(START, np.zeros(3), LOWER, UPPER)
