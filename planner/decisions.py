@@ -148,7 +148,10 @@ class GroundAgent(Protocol):
         """What to do now. The same `Proposal` (same index) stands until it was decided."""
 
     def decide(self, decision: Decision, t: float) -> CommandSequence | None:
-        """Apply the operator's answer to the standing proposal; the sequence to send, or None when nothing goes up."""
+        """Apply the operator's answer to the standing proposal; the sequence to send, or None when nothing goes up.
+
+        A wait decides nothing: `next` gives the same proposal again. A stop is sent by whoever runs the loop.
+        """
 
 
 class StageTimer(Protocol):
