@@ -1,7 +1,7 @@
 """Builds what is generated in the assets: each robot's URDF and meshes, from its spec.toml.
 
-    python scripts/build_assets.py            # writes
-    python scripts/build_assets.py --check    # compares, exit status 1 when a committed file is stale
+`python scripts/build_assets.py` writes; with `--check` it only compares and leaves with status 1 when a committed file is
+stale.
 """
 
 from __future__ import annotations

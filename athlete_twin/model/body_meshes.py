@@ -79,9 +79,9 @@ def _truss(outer: float, inner: float, top: float, bottom: float) -> Mesh:
         for z in (high, low):
             parts.append(beam(np.array([a, s, z]), np.array([b, e, z]), BRACE, BRACE))
         for n in (a, b):
-            parts.append(beam(np.array([n, s, low]), np.array([n, e, high]), BRACE, BRACE, up=(1, 0, 0)))
+            parts.append(beam(np.array([n, s, low]), np.array([n, e, high]), BRACE, BRACE, up=(1.0, 0.0, 0.0)))
     for s in stations[1:-1:2]:
-        parts += [beam(np.array([n, s, low]), np.array([n, s, high]), BRACE, BRACE, up=(1, 0, 0)) for n in (a, b)]
+        parts += [beam(np.array([n, s, low]), np.array([n, s, high]), BRACE, BRACE, up=(1.0, 0.0, 0.0)) for n in (a, b)]
     return join(*parts)
 
 
@@ -129,7 +129,7 @@ def _deck(spec: RobotSpec, deck: DeckSpec) -> Look:
     for a, b in zip(inner, np.roll(inner, -1, axis=0), strict=True):
         for z in (high - 0.5 * edge, low + 0.5 * edge):
             metal.append(beam(np.array([*a, z]), np.array([*b, z]), edge, edge))
-        metal.append(beam(np.array([*a, low]), np.array([*a, high]), edge, edge, up=(1, 0, 0)))
+        metal.append(beam(np.array([*a, low]), np.array([*a, high]), edge, edge, up=(1.0, 0.0, 0.0)))
         length = float(np.linalg.norm(b - a))
         s, e = a + (b - a) * 0.09 / length, b - (b - a) * 0.09 / length
         if length > 0.4:
@@ -137,11 +137,12 @@ def _deck(spec: RobotSpec, deck: DeckSpec) -> Look:
             white.append(beam(np.array([*s, middle]), np.array([*e, middle]), 0.012, high - low - 2 * edge))
             third = (b - a) / 3
             for c in (a + third, a + 2 * third):
-                metal.append(beam(np.array([*c, low]), np.array([*c, high]), 0.045, 0.045, up=(1, 0, 0)))
+                metal.append(beam(np.array([*c, low]), np.array([*c, high]), 0.045, 0.045, up=(1.0, 0.0, 0.0)))
     white.append(prism(_inset(outline, 0.055), high - 0.022, high - 0.008))
     cx, cy = outline.mean(axis=0)
     gold = [
-        box((0.55, 0.42, 0.20), (float(cx) + s * 0.62, float(cy) - 0.02 * np.sign(cy), high - 0.14)) for s in (1.0, -1.0)
+        box((0.55, 0.42, 0.20), (float(cx) + s * 0.62, float(cy) - 0.02 * np.sign(cy), high - 0.14))
+        for s in (1.0, -1.0)
     ]
     actuator = box((0.40, 0.50, 0.16), (float(cx), float(cy), high - 0.12))
     radius = proportions(spec.name).hip_drum_radius

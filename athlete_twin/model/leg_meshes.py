@@ -52,7 +52,10 @@ def _hip(spec: RobotSpec, shape: Proportions) -> Look:
         (x - 0.4 * shape.hip_rim, shape.hip_arm_width, shape.hip_arm_height), (0.5 * (x - 0.4 * shape.hip_rim), 0.0, z)
     )
     ribs = [
-        box((0.5 * x, 0.02, 0.4 * shape.hip_arm_height), (0.3 * x, side * 0.35 * shape.hip_arm_width, z + 0.6 * shape.hip_arm_height))
+        box(
+            (0.5 * x, 0.02, 0.4 * shape.hip_arm_height),
+            (0.3 * x, side * 0.35 * shape.hip_arm_width, z + 0.6 * shape.hip_arm_height),
+        )
         for side in (1, -1)
     ]
     cap = cylinder(0.6 * radius, high - 0.02, high, axis="z")
@@ -147,9 +150,10 @@ def _wheel(wheel: WheelSpec) -> Look:
     )
     lugs = []
     size = (0.42 * 2 * np.pi * wheel.radius / LUGS, 0.50 * wheel.width, 2 * LUG_HEIGHT)
-    # The lug's outer corners lie at the drawn radius.
-    height = float(np.sqrt(wheel.radius**2 - (0.5 * size[0]) ** 2)) - LUG_HEIGHT
     slant = np.deg2rad(24.0)
+    # The lug's outermost corners lie at the drawn radius.
+    reach = 0.5 * (size[0] * np.cos(slant) + size[1] * np.sin(slant))
+    height = float(np.sqrt(wheel.radius**2 - reach**2)) - LUG_HEIGHT
     for row in (1.0, -1.0):
         tilt = np.array(
             [[np.cos(slant), -row * np.sin(slant), 0], [row * np.sin(slant), np.cos(slant), 0], [0, 0, 1.0]]
@@ -182,12 +186,15 @@ def _wheel(wheel: WheelSpec) -> Look:
 
 def _drum(shape: Proportions, rim: float) -> Mesh:
     body = cylinder(DRUM * rim, -shape.cheek_inner + 0.002, shape.cheek_inner - 0.002, axis="y", segments=16)
-    caps = [cylinder(0.55 * rim, *sorted((s * 0.5 * shape.cheek_inner, s * (shape.cheek_outer + 0.01))), axis="y") for s in (1, -1)]
+    caps = [
+        cylinder(0.55 * rim, *sorted((s * 0.5 * shape.cheek_inner, s * (shape.cheek_outer + 0.01))), axis="y")
+        for s in (1, -1)
+    ]
     return join(body, *caps)
 
 
 def _yoke_depth(shape: Proportions, rim: float) -> float:
-    return shape.clearance + 0.4 * rim
+    return shape.clearance + 0.25 * rim
 
 
 def _yoke(shape: Proportions, rim: float, x: float, direction: float) -> Mesh:
@@ -198,7 +205,7 @@ def _yoke(shape: Proportions, rim: float, x: float, direction: float) -> Mesh:
     for side in (1.0, -1.0):
         span = sorted((side * shape.cheek_inner, side * shape.cheek_outer))
         parts.append(cylinder(rim, *span, axis="y", segments=16))
-        wide, narrow = 0.86 * rim, 0.55 * rim
+        wide, narrow = 0.86 * rim, 0.50 * rim
         outline = np.array([[wide, 0.2 * rim], [-wide, 0.2 * rim], [-narrow, bridge_end], [narrow, bridge_end]])
         parts.append(_flat(outline, *span))
     depth = bridge_end - bridge_start

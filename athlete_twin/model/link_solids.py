@@ -133,7 +133,8 @@ def _deck_solids(deck: DeckSpec) -> tuple[Solid, ...]:
     tip = float(np.abs(outline[:, 0]).min())
     spans = [(half, near, shoulder), (belly, shoulder, reach), (tip, reach, far)]
     boxes = [
-        _box(np.array([0.0, side * 0.5 * (a + b), z]) - deck.dock, np.array([2 * x, b - a, height])) for x, a, b in spans
+        _box(np.array([0.0, side * 0.5 * (a + b), z]) - deck.dock, np.array([2 * x, b - a, height]))
+        for x, a, b in spans
     ]
     depth = shoulder - near
     length = float(np.hypot(half - tip, far - shoulder))
@@ -183,7 +184,13 @@ def _fork_solids(spec: RobotSpec, shape: Proportions) -> tuple[Solid, ...]:
     tine = 0.5 * spec.wheel.width + shape.tine_gap + 0.5 * shape.tine_thickness
     length = axle + 0.5 * shape.tine_width - crown_start
     span = 2 * tine + shape.tine_thickness
-    out = [Solid(shape="box", size=(shape.crown_depth, span, shape.tine_width), xyz=(crown_end - 0.5 * shape.crown_depth, 0, 0))]
+    out = [
+        Solid(
+            shape="box",
+            size=(shape.crown_depth, span, shape.tine_width),
+            xyz=(crown_end - 0.5 * shape.crown_depth, 0.0, 0.0),
+        )
+    ]
     if crown_start - neck > 0.01:
         out.append(_along_x(shape.shank_radius, neck, crown_start))
     for side in (1.0, -1.0):

@@ -105,7 +105,9 @@ def lathe(profile: Points2, *, axis: Axis, segments: int) -> Mesh:
     return Mesh(vertices=vertices @ _ALONG[axis].T, triangles=triangles)
 
 
-def beam(start: Vec3, stop: Vec3, width: float, height: float, *, up: tuple[float, float, float] = (0, 0, 1)) -> Mesh:
+def beam(
+    start: Vec3, stop: Vec3, width: float, height: float, *, up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+) -> Mesh:
     """A straight bar of rectangular section between two points [m]; `height` is along `up` as far as the bar allows."""
     start, stop = np.asarray(start, dtype=float), np.asarray(stop, dtype=float)
     along = stop - start

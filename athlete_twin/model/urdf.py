@@ -33,12 +33,17 @@ Materials = Mapping[str, tuple[float, float, float]]
 """red, green, blue in 0..1 by name"""
 
 ZERO = (0.0, 0.0, 0.0)
+X_UNIT = (1.0, 0.0, 0.0)
+Y_UNIT = (0.0, 1.0, 0.0)
 
 
 def urdf_text(spec: RobotSpec, *, visuals: Visuals, materials: Materials) -> str:
     """The whole URDF of a robot."""
     shapes, moments = solids(spec), inertias(spec)
-    lines = ['<?xml version="1.0"?>', f"<!-- {spec.title}. Generated from spec.toml by scripts/build_assets.py: do not edit. -->"]
+    lines = [
+        '<?xml version="1.0"?>',
+        f"<!-- {spec.title}. Generated from spec.toml by scripts/build_assets.py: do not edit. -->",
+    ]
     lines += [
         "<!-- Masses and centres of mass as drawn. Inertias of the links' primitive solids, at least 0.05 kg m2 an axis, so that",
         "     links of zero length (knee and ankle blocks, docks) stay well conditioned in simulation. -->",
@@ -55,9 +60,9 @@ def urdf_text(spec: RobotSpec, *, visuals: Visuals, materials: Materials) -> str
         dock = deck.name.replace("deck", "dock")
         com = deck.part.centre - deck.dock
         link(dock, dock, DOCK_MASS, com)
-        lines.extend(_joint(f"{dock}_bend", "revolute", "hex", dock, deck.dock, (1, 0, 0), _dock_limit()))
+        lines.extend(_joint(f"{dock}_bend", "revolute", "hex", dock, deck.dock, X_UNIT, _dock_limit()))
         link(deck.name, deck.name, deck.mass - DOCK_MASS, com)
-        lines.extend(_joint(f"{dock}_twist", "revolute", dock, deck.name, np.zeros(3), (0, 1, 0), _dock_limit()))
+        lines.extend(_joint(f"{dock}_twist", "revolute", dock, deck.name, np.zeros(3), Y_UNIT, _dock_limit()))
     for leg in range(LEGS):
         parent, origin = hip_mount(spec, leg)
         rpy: tuple[float, float, float] = (0.0, 0.0, float(spec.hip_azimuths[leg]))
@@ -69,7 +74,9 @@ def urdf_text(spec: RobotSpec, *, visuals: Visuals, materials: Materials) -> str
             parent, origin, rpy = name, np.zeros(3), ZERO
         name = f"wheel{leg + 1}"
         link(name, "wheel", spec.wheel.mass, np.zeros(3))
-        lines.extend(_joint(name, "continuous", parent, name, spec.wheel.offset, (0, 1, 0), _limit(WHEEL_EFFORT, WHEEL_SPEED)))
+        lines.extend(
+            _joint(name, "continuous", parent, name, spec.wheel.offset, Y_UNIT, _limit(WHEEL_EFFORT, WHEEL_SPEED))
+        )
     lines.append("</robot>")
     return "\n".join(lines) + "\n"
 

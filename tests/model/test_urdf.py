@@ -33,7 +33,9 @@ def test_both_libraries_put_every_link_at_the_same_place(robot, bullet):
     client, body = bullet
     model = pinocchio.buildModelFromUrdf(str(robot_dir(robot) / "robot.urdf"))
     data = model.createData()
-    joints = [pybullet.getJointInfo(body, j, physicsClientId=client) for j in range(pybullet.getNumJoints(body, client))]
+    joints = [
+        pybullet.getJointInfo(body, j, physicsClientId=client) for j in range(pybullet.getNumJoints(body, client))
+    ]
     names = [info[1].decode() for info in joints]
     frames = [model.getFrameId(info[12].decode(), pinocchio.FrameType.BODY) for info in joints]
     # Bullet's world is at the base's centre of mass, Pinocchio's at the base link's frame.
@@ -84,7 +86,9 @@ def test_axles_of_the_zero_pose_lie_straight_out_along_the_azimuths(robot):
     for leg in range(6):
         azimuth = spec.hip_azimuths[leg]
         expected = spec.hips_in_hex[leg] + [reach[0] * np.cos(azimuth), reach[0] * np.sin(azimuth), reach[2]]
-        assert data.oMf[model.getFrameId(f"wheel{leg + 1}", pinocchio.FrameType.BODY)].translation == pytest.approx(expected, abs=1e-9)
+        assert data.oMf[model.getFrameId(f"wheel{leg + 1}", pinocchio.FrameType.BODY)].translation == pytest.approx(
+            expected, abs=1e-9
+        )
 
 
 def test_limits_reach_bullet_as_drawn(robot, bullet):
