@@ -115,6 +115,8 @@ class RobotSpec:
     """of the axles from the hex's z axis in the normal stance [m]"""
     chassis_height: float
     """of the hex origin above the ground in the normal stance, before sag [m]"""
+    stride: float
+    """of one gait cycle on open ground [m]"""
     min_support_margin: float
     """of the stability rule [m]"""
     stance_hip_pitch: float | None
@@ -204,6 +206,7 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         speed_unloaded=figure(motion["speed_unloaded"]),
         foot_radius=figure(stance["foot_radius"]),
         chassis_height=figure(stance["chassis_height"]),
+        stride=figure(stance["stride"]),
         min_support_margin=figure(stance["min_support_margin"]),
         stance_hip_pitch=float(np.deg2rad(figure(stance["hip_pitch_deg"]))) if "hip_pitch_deg" in stance else None,
         believed_foot_stiffness=figure(belief["foot_stiffness_z"]),
@@ -247,7 +250,8 @@ def _part(entry: dict[str, Any]) -> BodyPart:
     if entry["shape"] == "hexagon_ring":
         low, high = figure(entry["z_range"])
         size = np.array([figure(entry["vertex_radius"]), figure(entry["inner_vertex_radius"]), high - low])
-        return BodyPart(name=entry["name"], shape="hexagon_ring", centre=np.array([0, 0, 0.5 * (low + high)]), size=size)
+        centre = np.array([0.0, 0.0, 0.5 * (low + high)])
+        return BodyPart(name=entry["name"], shape="hexagon_ring", centre=centre, size=size)
     if entry["shape"] == "box":
         return BodyPart(name=entry["name"], shape="box", centre=figure(entry["centre"]), size=figure(entry["size"]))
     raise ConfigError(f"shape {entry['shape']!r} of part {entry['name']!r} is not one of: box, hexagon_ring")
@@ -264,13 +268,12 @@ def _cameras(group: dict[str, Any]) -> list[StereoCamera]:
     eye = Pinhole.from_fov(width, height, float(np.deg2rad(figure(group["hfov_deg"]))))
     baseline = figure(group["baseline"])
     pitch = float(np.deg2rad(figure(group["pitch_down_deg"])))
+    radius, height, look = figure(group["radius"]), figure(group["height"]), group["look"]
     return [
         StereoCamera(
             name=f"{group['group']}_{number}",
             group=group["group"],
-            hex_from_camera=mounted(
-                float(np.deg2rad(azimuth)), figure(group["radius"]), figure(group["height"]), group["look"], pitch, baseline
-            ),
+            hex_from_camera=mounted(float(np.deg2rad(azimuth)), radius, height, look, pitch, baseline),
             baseline=baseline,
             eye=eye,
         )

@@ -1,0 +1,436 @@
+"""The ground: what comes down goes in, a proposal or an image request comes out. Reads like the papers' architecture.
+
+stereo pairs -> depth -> depth without the robot's own legs -> fused terrain -> footfall scores -> stability map ->
+chosen step -> collision-free path -> smoothed path -> sag-compensated sequence -> the operator's decision -> link
+
+The agent holds no clock and no link: messages come in by `observe`, actions go out by `next`, and computing time is
+charged by a fixed table, so that results do not depend on the machine.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from athlete_twin.geometry.arrays import Vec2, Vec3
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.messages import Command, CommandSequence, Fault, ImageRequest, Message, Receipt, StereoPair, Telemetry
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.spec import LEGS, RobotSpec
+from planner.belief import Belief, BeliefFilter
+from planner.config import PlannerConfig
+from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplink, Waiting
+from planner.eyes import Eyes, StageTimer, untimed
+from planner.footfall import FootfallMap, score_footfalls
+from planner.gait.skeleton import regular_places, reverse_wave, stride
+from planner.gait.step_plan import StepPlan
+from planner.gait.step_search import Ground, StepRequest, search_step
+from planner.gait.survey import seeing, survey_commands
+from planner.sag.sag_model import FootSprings
+from planner.sequence import as_sequence, lower_commands, step_commands
+
+SECONDS_PER_PLAN = 2.0
+"""charged for planning one step [s]"""
+SECONDS_PER_PAIR = 1.0
+"""charged for one stereo pair [s]"""
+STANDING_LOAD = 150.0
+"""after a fault, a wheel whose torques speak of more than this stands [N]"""
+LOWERINGS = 2
+"""further descents after a wheel found no ground, before it steps elsewhere"""
+FLAT_RADIUS = 8.0
+"""of the flat map of a variant without pictures [m]"""
+MAX_TORQUE_FRACTION = 1.0
+RETRY_LIFT = 0.06
+"""added to a lift that did not break contact [m]"""
+MAX_EXTRA_LIFT = 0.25
+"""[m]"""
+MAX_ATTEMPTS = 6
+"""faults at one and the same step before the ground gives up"""
+
+
+@dataclass(kw_only=True)
+class _Sent:
+    """The sequence that is up there."""
+
+    sequence: CommandSequence
+    plan: StepPlan | None
+    pairs_awaited: int
+    pairs: list[StereoPair] = field(default_factory=list)
+    done: bool = False
+    fault: Fault | None = None
+
+
+class GroundAgent:
+    """Plans from the downlink alone, one step at a time."""
+
+    def __init__(
+        self,
+        spec: RobotSpec,
+        config: PlannerConfig,
+        *,
+        goal_in_world: Vec2,
+        seed: int,
+        payload_kg: float = 0.0,
+        timer: StageTimer = untimed,
+    ) -> None:
+        self.spec, self.config = spec, config
+        self.goal = np.asarray(goal_in_world, dtype=float)
+        self.kin = Kinematics(spec)
+        self.springs = FootSprings.from_spec(spec)
+        self.eyes = Eyes(self.kin, config, timer=timer)
+        self.steps_taken = 0
+        self.stepped: Counter[int] = Counter()
+        """how often each leg has stepped"""
+        self.last_plan: StepPlan | None = None
+        self._filter = BeliefFilter(self.kin, self.springs, payload_kg=payload_kg, config=config.wheel_fit)
+        self._payload, self._timer = payload_kg, timer
+        self._rng = np.random.default_rng([seed, 7001])
+        self._belief: Belief | None = None
+        self._telemetry: Telemetry | None = None
+        self._sent: _Sent | None = None
+        self._proposal: Proposal | None = None
+        self._plan: StepPlan | None = None
+        self._queue: list[int] = []
+        self._ground_s = 0.0
+        self._sequence_id = 0
+        self._proposals = 0
+        self._refused: list[np.ndarray] = []
+        self._extra_lift = 0.0
+        self._attempts = 0
+        self._lowerings = 0
+        self._surveyed = config.fusion_method == "flat"
+        self._forced_leg: int | None = None
+        self._forced_xy: Vec2 | None = None
+        self._stopped = ""
+
+    # --- what the environments call -------------------------------------------------------------------------------
+
+    @property
+    def ground_s(self) -> float:
+        """Computing time charged so far, from the fixed table [s]."""
+        return self._ground_s
+
+    @property
+    def belief(self) -> Belief | None:
+        """The robot as last believed; None before the first telemetry."""
+        return self._belief
+
+    @property
+    def gait_cycles(self) -> int:
+        """How often every leg has stepped."""
+        return min((self.stepped[leg] for leg in range(LEGS)), default=0)
+
+    def observe(self, message: Message, t: float) -> None:
+        """Take one message that came down and arrived at mission time `t` [s]."""
+        if isinstance(message, Telemetry):
+            self._telemetry = message
+            if self._sent is None or self._belief is None:
+                self._belief = self._filter.update(message)
+        elif isinstance(message, StereoPair) and self._sent is not None:
+            self._sent.pairs.append(message)
+        elif isinstance(message, Fault):
+            if self._sent is not None and message.sequence_id == self._sent.sequence.sequence_id:
+                self._sent.fault = message
+        elif isinstance(message, Receipt) and self._sent is not None:
+            ours = message.sequence_id == self._sent.sequence.sequence_id
+            if ours and message.command_index >= 0 and message.status == "completed":
+                self._completed(message.command_index)
+            ended = message.status in ("failed", "cancelled") or (message.command_index < 0 and message.status == "completed")
+            if ours and ended:
+                self._sent.done = True
+
+    def next(self, t: float) -> Action:
+        """What to do now, at mission time `t` [s]."""
+        if self._stopped:
+            return NoStep(reason=self._stopped)
+        if self._belief is None or self._telemetry is None:
+            return Waiting(reason="first telemetry")
+        if self._sent is not None:
+            sent = self._sent
+            settled = self._telemetry.executive_state != "executing" and self._telemetry.t >= sent.sequence.t
+            if not sent.done or not settled:
+                return Waiting(reason="telemetry: the robot moves" if not sent.done else "telemetry after the motion")
+            if sent.fault is None and len(sent.pairs) < sent.pairs_awaited:
+                return Waiting(reason=f"pictures: {len(sent.pairs)} of {sent.pairs_awaited}")
+            self._digest(sent)
+        if self._proposal is not None:
+            return self._proposal
+        return self._propose(t)
+
+    def decide(self, decision: Decision, t: float) -> CommandSequence | None:
+        """Apply the operator's answer to the standing proposal; the sequence to send, or None when nothing goes up."""
+        proposal, plan = self._proposal, self._plan
+        if proposal is None:
+            return None
+        if decision.kind == "wait":
+            return None
+        self._proposal, self._plan = None, None
+        if decision.kind == "approve":
+            return self._send(replace(proposal.sequence, t=t), plan)
+        if decision.kind == "reject":
+            if plan is None:
+                self._surveyed = True
+            else:
+                self._refused.append(plan.footfall_in_world[:2])
+        elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
+            self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
+            self._forced_leg = plan.leg if plan is not None else None
+        elif decision.kind == "choose_leg":
+            self._forced_leg = decision.leg
+        elif decision.kind == "choose_cameras":
+            look: list[Command] = [ImageRequest(cameras=decision.cameras, binning=self.config.survey.binning)]
+            return self._send(self._as_sequence(look, t), None)
+        elif decision.kind == "stop":
+            self._stopped = "stopped by the operator"
+        return None
+
+    # --- what came down -------------------------------------------------------------------------------------------
+
+    def _completed(self, index: int) -> None:
+        """Keep track of which wheel stands while the receipts come in."""
+        if self._sent is None or self._sent.plan is None:
+            return
+        plan, commands = self._sent.plan, self._sent.sequence.commands
+        command = commands[index]
+        guard = getattr(command, "guard", "none")
+        if guard == "break_contact":
+            self._filter.lift(plan.leg)
+        elif guard == "contact":
+            self._filter.land(plan.leg)
+
+    def _digest(self, sent: _Sent) -> None:
+        """A sequence has ended: update the belief, fuse its pictures, take note of a fault."""
+        self._sent = None
+        if self._telemetry is None:
+            return
+        if sent.fault is not None:
+            self._faulted(sent, sent.fault)
+        elif sent.plan is not None:
+            self.steps_taken += 1
+            self.stepped[sent.plan.leg] += 1
+            self.last_plan = sent.plan
+            self._refused, self._extra_lift, self._attempts, self._lowerings = [], 0.0, 0, 0
+        self._belief = self._filter.update(self._telemetry)
+        for t in sorted({p.t for p in sent.pairs}):
+            pairs = [p for p in sent.pairs if p.t == t]
+            then = self._filter.update(pairs[0].state)
+            correction = self.eyes.take(pairs, then)
+            self._ground_s += SECONDS_PER_PAIR * len(pairs)
+            self._filter.shift_world(correction)
+        if sent.pairs:
+            self._belief = self._filter.update(self._telemetry)
+        if self.config.fusion_method != "flat":
+            self.eyes.touch(self._belief.contacts_in_world[self._belief.planted])
+
+    def _faulted(self, sent: _Sent, fault: Fault) -> None:
+        self._attempts += 1
+        plan = sent.plan
+        if plan is None:
+            self._surveyed = True
+            return
+        if self._attempts >= MAX_ATTEMPTS:
+            self._stopped = f"{self._attempts} faults at one step, the last: {fault.text}"
+        if self._telemetry is not None:
+            self._feel(plan.leg, self._telemetry)
+        if fault.code == "contact_not_broken":
+            self._extra_lift = min(self._extra_lift + RETRY_LIFT, MAX_EXTRA_LIFT)
+        elif fault.code == "no_contact":
+            self._lowerings += 1
+        else:
+            self._refused.append(plan.footfall_in_world[:2])
+        self._forced_leg = plan.leg
+
+    def _feel(self, leg: int, telemetry: Telemetry) -> None:
+        """After a fault nobody knows whether the wheel stands: its torques do."""
+        roll, pitch = float(telemetry.attitude_rpy[0]), float(telemetry.attitude_rpy[1])
+        gravity = GRAVITY * np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
+        force = self.kin.ground_force(leg, telemetry.joints, telemetry.torques[leg], gravity)
+        if float(-force @ gravity / GRAVITY) > STANDING_LOAD:
+            self._filter.land(leg)
+        else:
+            self._filter.lift(leg)
+
+    # --- what goes up ---------------------------------------------------------------------------------------------
+
+    def _propose(self, t: float) -> Action:
+        if self._belief is None:
+            return Waiting(reason="first telemetry")
+        belief = self._belief
+        offset = self.goal - belief.world_from_hex.translation[:2]
+        remaining = float(np.linalg.norm(offset))
+        in_air = np.flatnonzero(~belief.planted)
+        if not self._surveyed:
+            return self._survey(belief, offset / max(remaining, 1e-9), t)
+        if remaining <= self.config.step.gait.arrival_distance and len(in_air) == 0:
+            return Arrived(text=f"believed {remaining:.2f} m from the goal")
+        heading = np.asarray(offset / max(remaining, 1e-9))
+        with self._timer("footfall"):
+            ground = self._ground(belief)
+        if len(in_air) and 0 < self._lowerings <= LOWERINGS and self.last_attempt is not None:
+            return self._lower(belief, ground, self.last_attempt, t)
+        refused: Counter[str] = Counter()
+        reasons = []
+        for leg in self._order(belief, heading, in_air):
+            request = StepRequest(
+                leg=leg,
+                heading=heading,
+                remaining=remaining,
+                footfall_xy=self._forced_xy,
+                refused_xy=np.array(self._refused).reshape(-1, 2),
+                extra_lift=self._extra_lift,
+            )
+            self._ground_s += SECONDS_PER_PLAN
+            with self._timer("plan"):
+                found = search_step(
+                    self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload,
+                    rng=self._rng,
+                )  # fmt: skip
+            self._forced_xy = None
+            if isinstance(found, StepPlan):
+                self._forced_leg = None
+                return self._as_proposal(found, belief, ground, t)
+            refused.update(found.refused)
+            reasons.append(found.reason)
+        return NoStep(reason="; ".join(dict.fromkeys(reasons)), refused=dict(refused))
+
+    @property
+    def last_attempt(self) -> StepPlan | None:
+        """The step that was sent last, whether it succeeded or not."""
+        return self._attempt
+
+    _attempt: StepPlan | None = None
+
+    def _order(self, belief: Belief, heading: Vec2, in_air: np.ndarray) -> list[int]:
+        """Legs to try, first the one whose turn it is. A leg in the air must come down before any other moves."""
+        if len(in_air):
+            return [int(in_air[0])]
+        if self._forced_leg is not None:
+            return [self._forced_leg]
+        heading_in_hex = (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2]
+        wave = reverse_wave(self.spec, heading_in_hex / np.linalg.norm(heading_in_hex))
+        fewest = min(self.stepped[leg] for leg in range(LEGS))
+        due = [leg for leg in wave if self.stepped[leg] == fewest]
+        return due + [leg for leg in wave if leg not in due]
+
+    def _survey(self, belief: Belief, heading: Vec2, t: float) -> Action:
+        self._surveyed = True
+        heading_in_hex = (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2]
+        commands = survey_commands(self.kin, belief, heading_in_hex, self.config.survey)
+        sequence = self._as_sequence(commands, t)
+        flat = HeightGrid(origin_x=-1.0, origin_y=-1.0, cell=1.0, heights=np.full((3, 3), np.nan))
+        self._plan = None
+        self._proposal = Proposal(
+            index=self._next_proposal(), t=t, kind="shift", leg=-1, footfall_in_world=belief.world_from_hex.translation.copy(),
+            sequence=sequence, preview_joints=belief.joints[None].copy(), preview_world_from_hex=(belief.world_from_hex,),
+            terrain=flat, footfall_ok=np.zeros((3, 3), dtype=bool), cost=np.full((3, 3), np.nan),
+            world_from_hex=belief.world_from_hex, predicted_margin=float("nan"), predicted_sag=0.0,
+            text="look around: pictures from all cameras, nodding and turning on planted wheels",
+        )  # fmt: skip
+        return self._proposal
+
+    def _lower(self, belief: Belief, ground: Ground, plan: StepPlan, t: float) -> Action:
+        """The wheel found no ground where the map had some: further down at the same place."""
+        axle = self.kin.leg_wheel(plan.leg, belief.motors[plan.leg]).translation
+        down = belief.gravity_in_hex() / GRAVITY
+        target = axle + self.config.step.touchdown.search_depth * down
+        commands = lower_commands(plan.leg, target, plan.contact_load)
+        lowered = replace(plan, lift_in_hex=None, descent_in_hex=target)
+        return self._as_proposal(lowered, belief, ground, t, commands=commands)
+
+    def _ground(self, belief: Belief) -> Ground:
+        """The terrain for one plan: heights with unknown cells, heights without, and the footfalls on it."""
+        config = self.config
+        if config.fusion_method == "flat":
+            grid, variance = self._plane(belief)
+            filled = grid
+        else:
+            fused = self.eyes.map.fused()
+            filled = fused.filled("nearest").grid
+            grid = filled if config.unknown_terrain == "flat" else fused.grid
+            variance = np.where(np.isfinite(fused.variance), fused.variance, 0.0)
+        footfalls = score_footfalls(grid, variance, wheel_radius=self.spec.wheel.radius, config=config.footfall)
+        return Ground(heights=grid, filled=filled, footfalls=footfalls)
+
+    def _plane(self, belief: Belief) -> tuple[HeightGrid, np.ndarray]:
+        """A flat map: the plane through the wheels' contacts."""
+        contacts = belief.contacts_in_world[belief.planted]
+        design = np.column_stack([contacts[:, :2], np.ones(len(contacts))])
+        slope_x, slope_y, height = np.linalg.lstsq(design, contacts[:, 2], rcond=None)[0]
+        cell = self.config.fusion.cell
+        n = int(2 * FLAT_RADIUS / cell) + 1
+        x = belief.world_from_hex.translation[0] - FLAT_RADIUS + cell * np.arange(n)
+        y = belief.world_from_hex.translation[1] - FLAT_RADIUS + cell * np.arange(n)
+        heights = slope_x * x[:, None] + slope_y * y[None, :] + height
+        return HeightGrid(origin_x=float(x[0]), origin_y=float(y[0]), cell=cell, heights=heights), np.zeros((n, n))
+
+    def _as_proposal(
+        self, plan: StepPlan, belief: Belief, ground: Ground, t: float, *, commands: list[Command] | None = None
+    ) -> Proposal:
+        cameras = self._cameras(plan, belief)
+        sequence = self._as_sequence(step_commands(plan) if commands is None else commands, t, cameras=cameras)
+        footfalls: FootfallMap = ground.footfalls
+        x, y = plan.footfall_in_world[:2]
+        shift = 100 * float(np.linalg.norm(plan.shift.translation_in_hex[:2]))
+        self._plan = plan
+        self._proposal = Proposal(
+            index=self._next_proposal(),
+            t=t,
+            kind="step",
+            leg=plan.leg,
+            footfall_in_world=plan.footfall_in_world.copy(),
+            sequence=sequence,
+            preview_joints=plan.preview_joints,
+            preview_world_from_hex=plan.preview_world_from_hex,
+            terrain=ground.heights,
+            footfall_ok=footfalls.allowed,
+            cost=np.where(footfalls.allowed, footfalls.cost, np.nan),
+            world_from_hex=belief.world_from_hex,
+            predicted_margin=min(plan.swing_margin, plan.landed_margin),
+            predicted_sag=plan.sag,
+            text=f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, then the chassis shifts by {shift:.0f} cm",
+        )
+        return self._proposal
+
+    def _cameras(self, plan: StepPlan, belief: Belief) -> tuple[str, ...]:
+        """Which cameras look at the places where the next legs will step."""
+        if self.config.fusion_method == "flat":
+            return ()
+        offset = self.goal - belief.world_from_hex.translation[:2]
+        heading = offset / max(float(np.linalg.norm(offset)), 1e-9)
+        later = Counter(self.stepped)
+        later[plan.leg] += 1
+        wave = reverse_wave(self.spec, (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2])
+        upcoming = sorted(wave, key=lambda leg: later[leg])[:3]
+        places = regular_places(self.spec, belief.world_from_hex) + 0.5 * stride(self.spec, self.config.step.gait) * heading
+        names: dict[str, None] = {}
+        hex_from_world = belief.world_from_hex.inverse()
+        floor = float(np.mean(belief.contacts_in_world[:, 2]))
+        for leg in upcoming:
+            for ahead in (0.0, stride(self.spec, self.config.step.gait)):
+                point: Vec3 = np.append(places[leg] + ahead * heading, floor)
+                for name in seeing(self.spec, hex_from_world.apply(point), most=2):
+                    names[name] = None
+        return tuple(names)[: self.config.survey.each_step]
+
+    def _as_sequence(self, commands: list[Command], t: float, *, cameras: tuple[str, ...] = ()) -> CommandSequence:
+        sequence = as_sequence(
+            commands, robot_id=self.spec.name, sequence_id=self._sequence_id, t=t, cameras=cameras,
+            binning=self.config.survey.binning, max_torque_fraction=MAX_TORQUE_FRACTION,
+        )  # fmt: skip
+        self._sequence_id += 1
+        return sequence
+
+    def _send(self, sequence: CommandSequence, plan: StepPlan | None) -> CommandSequence:
+        awaited = sum(len(c.cameras) for c in sequence.commands if isinstance(c, ImageRequest))
+        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited)
+        self._attempt = plan
+        return sequence
+
+    def _next_proposal(self) -> int:
+        self._proposals += 1
+        return self._proposals - 1
+
+
+__all__ = ["GroundAgent", "Uplink"]

@@ -1,0 +1,128 @@
+"""What the ground believes of the robot itself: its pose, where its wheels stand, what they carry. From telemetry alone.
+
+A planted wheel is an anchor. Its contact point is remembered in the world; its axle stands a wheel's radius above it,
+less what its spring gives way under the load it is believed to carry. All anchors and the measured roll and pitch fix
+the chassis (`localise.fit_wheels`); a wheel that comes down gets its anchor from the pose that the others fix. The start
+defines the world: hex above its origin, heading along x, z zero at the mean height of the first six contacts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from athlete_twin.geometry.arrays import Joints, PerLeg, PerLegFlag, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.messages import Telemetry
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.spec import LEGS
+from planner.perception.localise import WheelFitConfig, fit_wheels
+from planner.sag.sag_model import AIRBORNE, FootSprings, SagSolution, solve_sag
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Belief:
+    """The robot as believed at one time."""
+
+    t: float
+    joints: Joints
+    """after the wind-up, shape (6, dof) [rad]"""
+    motors: Joints
+    """what was commanded, shape (6, dof) [rad]"""
+    world_from_hex: SE3
+    contacts_in_world: Wheels
+    """of the planted wheels, shape (6, 3); of a wheel in the air its last one [m]"""
+    planted: PerLegFlag
+    loads: PerLeg
+    """vertical, from the contact springs, shape (6,) [N]"""
+    fit_rmse: float
+    """how well wheels and pose agree [m]"""
+
+    def gravity_in_hex(self) -> Vec3:
+        """[m/s2]"""
+        return self.world_from_hex.rotation.T @ np.array([0.0, 0.0, -GRAVITY])
+
+
+class BeliefFilter:
+    """Keeps the anchors; turns each telemetry into a `Belief`."""
+
+    def __init__(self, kinematics: Kinematics, springs: FootSprings, *, payload_kg: float, config: WheelFitConfig) -> None:
+        self._kin, self._springs, self._payload, self._config = kinematics, springs, payload_kg, config
+        self._weight = (kinematics.spec.mass + payload_kg) * GRAVITY
+        self._contacts: Wheels | None = None
+        self._planted = np.ones(LEGS, dtype=bool)
+        self._correction = SE3.identity()
+
+    @property
+    def planted(self) -> PerLegFlag:
+        """Wheels believed on the ground, shape (6,)."""
+        return self._planted.copy()
+
+    def lift(self, leg: int) -> None:
+        """A leg was lifted: its wheel no longer anchors the robot."""
+        self._planted[leg] = False
+
+    def land(self, leg: int) -> None:
+        """A leg came down: the next telemetry gives its wheel an anchor."""
+        if not self._planted[leg]:
+            self._planted[leg] = True
+            if self._contacts is not None:
+                self._contacts[leg] = np.nan
+
+    def shift_world(self, correction: SE3) -> None:
+        """The map says that robot and anchors are elsewhere: `world_from_believed`."""
+        if self._contacts is not None:
+            self._contacts = correction.apply(self._contacts)
+
+    def update(self, telemetry: Telemetry) -> Belief:
+        """The robot as it was when the telemetry was taken."""
+        wheels = self._kin.wheels_in_hex(telemetry.joints)
+        tilt = SE3.from_rpy(float(telemetry.attitude_rpy[0]), float(telemetry.attitude_rpy[1]), 0.0)
+        gravity = tilt.rotation.T @ np.array([0.0, 0.0, -GRAVITY])
+        standing = self._planted.copy()
+        if self._contacts is not None:
+            standing &= np.isfinite(self._contacts).all(axis=1)
+        loads = self._loads(telemetry.joints, gravity, self._planted)
+        drop = self._kin.spec.wheel.radius - loads / self._springs.stiffness_z
+        if self._contacts is None:
+            level = tilt.apply(wheels)
+            height = -float(np.mean(level[:, 2] - drop))
+            world_from_hex = SE3(tilt.rotation, np.array([0.0, 0.0, height]))
+            self._contacts = world_from_hex.apply(wheels) - drop[:, None] * np.array([0.0, 0.0, 1.0])
+            rmse = 0.0
+        else:
+            anchors = self._contacts + drop[:, None] * np.array([0.0, 0.0, 1.0])
+            fit = fit_wheels(
+                wheels, anchors, planted=standing, attitude_rpy=telemetry.attitude_rpy, config=self._config
+            )
+            world_from_hex, rmse = fit.world_from_hex, fit.rmse
+            for leg in np.flatnonzero(self._planted & ~standing):
+                self._contacts[leg] = world_from_hex.apply(wheels[leg]) - np.array([0.0, 0.0, drop[leg]])
+        return Belief(
+            t=telemetry.t,
+            joints=telemetry.joints.copy(),
+            motors=telemetry.motors.copy(),
+            world_from_hex=world_from_hex,
+            contacts_in_world=self._contacts.copy(),
+            planted=self._planted.copy(),
+            loads=loads,
+            fit_rmse=rmse,
+        )
+
+    def _loads(self, joints: Joints, gravity: Vec3, planted: PerLegFlag) -> PerLeg:
+        solution = self.stance(joints, gravity, planted)
+        up = -gravity / GRAVITY
+        return np.asarray(np.maximum(solution.forces @ up, 0.0))
+
+    def stance(self, joints: Joints, gravity: Vec3, planted: PerLegFlag) -> SagSolution:
+        """The contact-spring solution of a stance whose planted wheels all just touch when unsagged."""
+        return solve_sag(
+            self._kin.wheels_in_hex(joints),
+            self._kin.com_in_hex(joints, self._payload),
+            self._weight,
+            stiffness_z=self._springs.stiffness_z,
+            lateral_ratio=self._springs.lateral_ratio,
+            lifts=np.where(planted, 0.0, AIRBORNE),
+            gravity_in_hex=gravity,
+        )

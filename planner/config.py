@@ -1,0 +1,180 @@
+"""A variant's content as one nested configuration: a method for each stage, and the methods' own settings.
+
+Scripts read the TOML file and hand its content here; the planner opens nothing. Top-level keys choose methods:
+
+    self_mask = "combined"          # watershed, kinematic, combined, none
+    fusion = "over_time"            # over_time, flat (no pictures: the ground is the plane of the wheels)
+    localisation = "wheels_and_map" # wheels, wheels_and_map
+    sag = "springs"                 # none, raise_terrain, springs
+    margin = "cps"                  # cps, support, energy
+    footfall = "free_volume"        # max_min, plane_fit, free_volume
+    leg_planner = "sbl"             # sbl, or one of OMPL's
+    smoothing = "dijkstra_bisect"
+    gait = "reverse_wave"
+    body_motion = "straight"
+    touchdown = "guarded"
+    unknown_terrain = "refuse"      # refuse, flat (an unknown cell is as high as its neighbours)
+    level_deck_deg = 0.5
+
+and a table `[settings.STAGE]` sets fields of that stage's configuration, such as `[settings.footfall] max_slope_deg = 15`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from athlete_twin.errors import AthleteError, ConfigError
+from athlete_twin.model.spec import RobotSpec
+from planner.footfall import FootfallConfig
+from planner.gait.shift import ShiftLimits
+from planner.gait.skeleton import GaitConfig
+from planner.gait.step_search import SearchConfig, StepConfig, TouchdownConfig
+from planner.gait.survey import SurveyConfig
+from planner.motion.collision import CollisionConfig
+from planner.motion.planners import METHODS as LEG_PLANNERS
+from planner.motion.sbl import SblConfig
+from planner.motion.smoothing import SmoothingConfig
+from planner.motion.swing import SwingConfig
+from planner.perception.localise import AlignConfig, WheelFitConfig
+from planner.perception.self_mask import SelfMaskConfig
+from planner.perception.stereo import StereoConfig
+from planner.sag.compensate import SagConfig
+from planner.stability.margin import MARGINS
+from planner.stability.stability_map import StabilityConfig
+from planner.terrain.fusion import FusionConfig
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "self_mask": ("watershed", "kinematic", "combined", "none"),
+    "fusion": ("over_time", "flat"),
+    "localisation": ("wheels", "wheels_and_map"),
+    "sag": ("none", "raise_terrain", "springs"),
+    "margin": MARGINS,
+    "footfall": ("max_min", "plane_fit", "free_volume"),
+    "leg_planner": LEG_PLANNERS,
+    "smoothing": ("dijkstra_bisect",),
+    "gait": ("reverse_wave",),
+    "body_motion": ("straight",),
+    "touchdown": ("guarded",),
+    "unknown_terrain": ("refuse", "flat"),
+}
+SETTINGS: dict[str, type] = {
+    "stereo": StereoConfig,
+    "self_mask": SelfMaskConfig,
+    "fusion": FusionConfig,
+    "localisation": AlignConfig,
+    "wheel_fit": WheelFitConfig,
+    "sag": SagConfig,
+    "footfall": FootfallConfig,
+    "collision": CollisionConfig,
+    "leg_planner": SblConfig,
+    "smoothing": SmoothingConfig,
+    "gait": GaitConfig,
+    "search": SearchConfig,
+    "touchdown": TouchdownConfig,
+    "shift": ShiftLimits,
+    "survey": SurveyConfig,
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerConfig:
+    """One variant of the planner for one robot."""
+
+    name: str
+    fusion_method: str
+    localisation_method: str
+    unknown_terrain: str
+    stereo: StereoConfig
+    self_mask: SelfMaskConfig
+    fusion: FusionConfig
+    align: AlignConfig
+    wheel_fit: WheelFitConfig
+    footfall: FootfallConfig
+    survey: SurveyConfig
+    step: StepConfig
+
+
+def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) -> PlannerConfig:
+    """The configuration from a variant's content; an unknown key or value is refused with what would have worked.
+
+    Args:
+        content: as read from the variant's TOML file.
+        spec: the drawings of the robot, which give the stability rule its margin.
+        name: what to call the variant in errors and results, such as its file's name.
+    """
+    known = (*CHOICES, "level_deck_deg", "settings")
+    for key in content:
+        if key not in known:
+            raise ConfigError(f"variant {name}: key {key!r} is not known; {_meant(key, known)}")
+    chosen = {}
+    for key, options in CHOICES.items():
+        if key not in content:
+            raise ConfigError(f"variant {name}: key {key!r} is missing; choose one of {', '.join(options)}")
+        if content[key] not in options:
+            raise ConfigError(f"variant {name}: {key} = {content[key]!r} is not one of {', '.join(options)}")
+        chosen[key] = str(content[key])
+    level = content.get("level_deck_deg", 0.0)
+    if not isinstance(level, int | float) or not np.isfinite(level) or not 0.0 <= level <= 20.0:
+        raise ConfigError(f"variant {name}: level_deck_deg = {level!r} is not a number from 0 to 20")
+    own = content.get("settings", {})
+    for stage in own:
+        if stage not in SETTINGS:
+            raise ConfigError(f"variant {name}: [settings.{stage}] is not known; {_meant(stage, tuple(SETTINGS))}")
+    made = {
+        stage: _settings(name, stage, own.get(stage, {}), chosen.get(stage), {"level_deck_deg": float(level)})
+        for stage in SETTINGS
+    }
+    swing = SwingConfig(sbl=made["leg_planner"], smoothing=made["smoothing"])
+    return PlannerConfig(
+        name=name,
+        fusion_method=chosen["fusion"],
+        localisation_method=chosen["localisation"],
+        unknown_terrain=chosen["unknown_terrain"],
+        stereo=made["stereo"],
+        self_mask=made["self_mask"],
+        fusion=made["fusion"],
+        align=made["localisation"],
+        wheel_fit=made["wheel_fit"],
+        footfall=made["footfall"],
+        survey=made["survey"],
+        step=StepConfig(
+            gait=made["gait"],
+            search=made["search"],
+            touchdown=made["touchdown"],
+            sag=made["sag"],
+            stability=StabilityConfig(min_margin=spec.min_support_margin, all_down=chosen["margin"]),
+            collision=made["collision"],
+            swing=swing,
+            leg_planner=chosen["leg_planner"],
+            shift=made["shift"],
+        ),
+    )
+
+
+def _settings(name: str, stage: str, own: Mapping[str, Any], method: str | None, extra: Mapping[str, Any]) -> Any:
+    kind = SETTINGS[stage]
+    fields = {f.name for f in dataclasses.fields(kind)}
+    values: dict[str, Any] = {k: v for k, v in extra.items() if k in fields}
+    if method is not None and "method" in fields:
+        values["method"] = method
+    for key, value in own.items():
+        if key not in fields or key == "method":
+            raise ConfigError(
+                f"variant {name}: [settings.{stage}] {key} is not known; {_meant(key, tuple(sorted(fields - {'method'})))}"
+            )
+        values[key] = tuple(value) if isinstance(value, list) else value
+    try:
+        return kind(**values)
+    except (AthleteError, TypeError) as e:
+        raise ConfigError(f"variant {name}: [settings.{stage}] {e}") from e
+
+
+def _meant(key: str, known: tuple[str, ...]) -> str:
+    close = difflib.get_close_matches(key, known, n=1)
+    return f"did you mean {close[0]!r}?" if close else f"known: {', '.join(known)}"

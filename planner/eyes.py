@@ -1,0 +1,118 @@
+"""From stereo pairs to the fused map: the perception half of the ground agent, in data-flow order.
+
+stereo pair -> depth -> depth without the robot's own legs -> aligned to the map -> fused into it
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
+
+import numpy as np
+
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.messages import StereoPair
+from athlete_twin.model.appearance import VisualPart, visual_parts
+from athlete_twin.model.kinematics import Kinematics
+from planner.belief import Belief
+from planner.config import PlannerConfig
+from planner.perception.localise import Alignment, align_to_map
+from planner.perception.self_mask import MaskedDepth, remove_self
+from planner.perception.stereo import match
+from planner.terrain.fusion import FusedTerrain, TerrainMap, points_in_world
+
+StageTimer = Callable[[str], AbstractContextManager[None]]
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def untimed(_stage: str) -> AbstractContextManager[None]:
+    """A stage timer that measures nothing."""
+    return nullcontext()
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Look:
+    """What one stereo pair gave."""
+
+    camera: str
+    t: float
+    masked: MaskedDepth
+    world_from_camera: SE3
+    """believed, after alignment"""
+    alignment: Alignment | None
+    """None where none was tried"""
+    cells: int
+    """of the map that it measured"""
+
+
+class Eyes:
+    """The map and how pictures get into it."""
+
+    def __init__(self, kinematics: Kinematics, config: PlannerConfig, *, timer: StageTimer = untimed) -> None:
+        self._kin, self._config, self._timer = kinematics, config, timer
+        self._parts: tuple[VisualPart, ...] = ()
+        self.map = TerrainMap.around(0.0, 0.0, config=config.fusion)
+        self.looks: list[Look] = []
+        """of the latest set of pictures"""
+
+    def take(self, pairs: list[StereoPair], belief: Belief) -> SE3:
+        """Fuse one set of pairs taken at the same time; the correction of the world that aligning them gave.
+
+        The set is aligned as a whole, since its pairs share the chassis' pose: the points of all of them together are
+        fitted to the map as it was before, then all are fused.
+        """
+        self.looks = []
+        masked = [self._masked(pair, belief) for pair in pairs]
+        poses = [belief.world_from_hex.compose(self._kin.spec.camera(p.camera).hex_from_camera) for p in pairs]
+        correction, alignment = SE3.identity(), None
+        if self._config.localisation_method == "wheels_and_map":
+            with self._timer("localise"):
+                alignment = self._align(masked, poses, self.map.fused())
+            if alignment is not None and alignment.accepted:
+                correction = alignment.correction
+        with self._timer("fuse"):
+            for pair, depth, pose in zip(pairs, masked, poses, strict=True):
+                world_from_camera = correction.compose(pose)
+                cells = self.map.fuse(depth.depth, world_from_camera)
+                self.looks.append(
+                    Look(
+                        camera=pair.camera, t=pair.t, masked=depth, world_from_camera=world_from_camera,
+                        alignment=alignment, cells=cells,
+                    )  # fmt: skip
+                )
+        return correction
+
+    def touch(self, contacts: np.ndarray) -> None:
+        """The ground under standing wheels is known by touch, shape (n, 3) [m]."""
+        contacts = np.atleast_2d(contacts)
+        self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4)
+
+    def _masked(self, pair: StereoPair, belief: Belief) -> MaskedDepth:
+        camera = self._kin.spec.camera(pair.camera)
+        with self._timer("stereo"):
+            depth = match(pair, camera, config=self._config.stereo)
+        if not self._parts and self._config.self_mask.method in ("kinematic", "combined"):
+            self._parts = visual_parts(self._kin.spec)
+        hex_from_world = belief.world_from_hex.inverse()
+        with self._timer("self_mask"):
+            return remove_self(
+                depth,
+                config=self._config.self_mask,
+                parts=self._parts,
+                hex_from_link=self._kin.link_poses(pair.state.joints),
+                up_in_hex=hex_from_world.rotate(UP),
+                ground_in_hex=hex_from_world.apply(belief.contacts_in_world[belief.planted]),
+            )
+
+    def _align(self, masked: list[MaskedDepth], poses: list[SE3], before: FusedTerrain) -> Alignment | None:
+        if before.unknown.all():
+            return None
+        clouds = [
+            points_in_world(m.depth, pose, config=self._config.fusion) for m, pose in zip(masked, poses, strict=True)
+        ]
+        points = np.concatenate([p for p, _ in clouds])
+        sigma = np.concatenate([s for _, s in clouds])
+        if len(points) == 0:
+            return None
+        return align_to_map(points, before, sigma_z=sigma, config=self._config.align)

@@ -1,0 +1,104 @@
+"""The chassis shift after a step: towards the goal, back to its height, level, and no further than everything allows.
+
+The chassis moves rigidly with all wheels planted, so the loads on them change only by where the centre of mass goes. A
+shift is shortened until every leg reaches, the stability rule holds at its end, for standing and for lifting any leg,
+and no part comes near terrain or robot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from athlete_twin.geometry.arrays import Joints, Vec2, Wheels
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.kinematics import Kinematics
+from athlete_twin.model.reach import all_legs_ik
+from planner.belief import Belief
+from planner.gait.skeleton import GaitConfig, shift_per_step
+from planner.gait.step_plan import BodyShift
+from planner.motion.collision import BodyCollision, CollisionConfig
+from planner.stability.margin import cps_margin, support_margin
+from planner.stability.stability_map import StabilityConfig
+
+FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShiftLimits:
+    """How much of height and attitude one shift mends."""
+
+    max_height: float = 0.06
+    """[m]"""
+    max_tilt: float = 0.04
+    """[rad]"""
+    max_yaw: float = 0.03
+    """[rad]"""
+    level_deck_deg: float = 0.0
+    """tilt that is left alone [deg]"""
+
+
+def plan_shift(
+    kin: Kinematics,
+    belief: Belief,
+    *,
+    landed_joints: Joints,
+    contacts_in_world: Wheels,
+    heading: Vec2,
+    remaining: float,
+    filled: HeightGrid,
+    gait: GaitConfig,
+    stability: StabilityConfig,
+    limits: ShiftLimits,
+    collision: CollisionConfig,
+    payload_kg: float,
+) -> BodyShift:
+    """The shift after a step; its fraction is 0 where only height and attitude can be mended, or not even these."""
+    pose = belief.world_from_hex
+    wanted = shift_per_step(kin.spec, gait, remaining)
+    body = BodyCollision(kin.spec, filled, collision)
+    wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
+    rise, turn = _mending(kin, belief, contacts_in_world, limits)
+    for fraction in FRACTIONS:
+        for mend in (1.0, 0.0):
+            move = np.append(fraction * wanted * heading, mend * rise)
+            end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation + move)
+            if _allowed(kin, end, wheels_in_world, contacts_in_world, stability, body, payload_kg):
+                return BodyShift(
+                    translation_in_hex=pose.rotation.T @ move, rotvec_in_hex=pose.rotation.T @ (mend * turn), fraction=fraction
+                )
+    return BodyShift(translation_in_hex=np.zeros(3), rotvec_in_hex=np.zeros(3), fraction=0.0)
+
+
+def _mending(kin: Kinematics, belief: Belief, contacts: Wheels, limits: ShiftLimits) -> tuple[float, np.ndarray]:
+    """Height to rise by [m] and rotation vector in world [rad] that bring the chassis back to its regular pose."""
+    pose = belief.world_from_hex
+    unsagged = pose.rotate(kin.wheels_in_hex(belief.motors))[:, 2]
+    # Height of the hex origin over the contacts if no spring gave way: what commands speak of.
+    height = float(np.mean((kin.spec.wheel.radius - unsagged)[belief.planted]))
+    rise = float(np.clip(kin.spec.chassis_height - height, -limits.max_height, limits.max_height))
+    up = pose.rotation[:, 2]
+    tilt = np.array([up[1], -up[0], 0.0])
+    excess = max(0.0, float(np.linalg.norm(tilt)) - np.deg2rad(limits.level_deck_deg))
+    level = tilt * (min(excess, limits.max_tilt) / max(float(np.linalg.norm(tilt)), 1e-12))
+    yaw = float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
+    level[2] = float(np.clip(-yaw, -limits.max_yaw, limits.max_yaw))
+    return rise, level
+
+
+def _allowed(
+    kin: Kinematics, end: SE3, wheels: Wheels, contacts: Wheels, stability: StabilityConfig, body: BodyCollision, payload: float
+) -> bool:
+    hex_from_world = end.inverse()
+    joints, ok = all_legs_ik(
+        kin.spec, hex_from_world.apply(wheels), last_link_in_hex=hex_from_world.rotate(np.array([0.0, 0.0, -1.0]))
+    )
+    if not ok.all():
+        return False
+    com = end.apply(kin.com_in_hex(joints, payload))
+    if cps_margin(com, contacts) < stability.min_margin:
+        return False
+    lifted = min(support_margin(com, np.delete(contacts, leg, axis=0)) for leg in range(6))
+    return bool(lifted >= stability.min_margin and body.is_free(joints, end))

@@ -1,0 +1,58 @@
+"""One step, planned: everything that is needed to command it, to show it and to judge it afterwards."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from athlete_twin.geometry.arrays import LegPath, Vec3
+from athlete_twin.geometry.se3 import SE3
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BodyShift:
+    """Where the chassis goes once the wheel is down, in the hex frame before the shift."""
+
+    translation_in_hex: Vec3
+    """[m]"""
+    rotvec_in_hex: Vec3
+    """[rad]"""
+    fraction: float
+    """of the wanted shift that reach, stability and terrain allow"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StepPlan:
+    """A step of one leg and the shift after it. Motor angles and unsagged wheel places, as the executive takes them."""
+
+    leg: int
+    """index 0 to 5"""
+    footfall_in_world: Vec3
+    """believed contact point [m]"""
+    lift_in_hex: Vec3 | None
+    """axle after lift-off; None when the leg is in the air already [m]"""
+    swing: LegPath
+    """way-points from above lift-off to above the footfall, shape (k, dof) [rad]"""
+    descent_in_hex: Vec3
+    """lowest axle position the guarded descent may go to [m]"""
+    contact_load: float
+    """vertical load at which the descent ends [N]"""
+    shift: BodyShift
+    world_from_hex_swing: SE3
+    """believed chassis while the leg is in the air"""
+    preview_joints: np.ndarray
+    """shape (k, 6, dof) [rad]"""
+    preview_world_from_hex: tuple[SE3, ...]
+    lift_clearance: float
+    """of the wheel above the ground after lift-off, sag taken off [m]"""
+    swing_margin: float
+    """plain support margin while the leg is in the air [m]"""
+    landed_margin: float
+    """CPS margin with the wheel down [m]"""
+    sag: float
+    """by which the chassis drops at its origin or turns at a hip while the leg is in the air, the larger [m]"""
+    peak_torque_fraction: float
+    """believed, while the leg is in the air"""
+    planner_checks: int
+    """collision checks spent on the path"""

@@ -1,0 +1,396 @@
+"""Choosing a step: candidate footfalls around the gait's nominal one, in the order of their cost, until one can be walked.
+
+Fused terrain, footfall scores and belief -> `StepPlan | NoStep`. A candidate must be allowed by the footfall map, within
+reach on the ground and above it with the chassis sagged as it will be, keep the stability rule, stay clear of the other
+wheels, and have a collision-free way there. Refusals are counted by the check that made them.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from athlete_twin.errors import ConfigError
+from athlete_twin.geometry.arrays import Points2, Points3, Vec2, Vec3
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.reach import leg_ik
+from athlete_twin.model.statics import torque_fractions
+from planner.belief import Belief
+from planner.decisions import NoStep
+from planner.footfall import FootfallMap
+from planner.gait.shift import ShiftLimits, plan_shift
+from planner.gait.skeleton import GaitConfig, nominal_footfall, stride
+from planner.gait.step_plan import StepPlan
+from planner.motion.collision import CollisionConfig, LegCollision
+from planner.motion.swing import SwingConfig, SwingPath, plan_swing
+from planner.sag.compensate import SagConfig, SagPrediction, predict_sag
+from planner.sag.sag_model import AIRBORNE, FootSprings, solve_sag
+from planner.stability.margin import cps_margin, support_margin
+from planner.stability.stability_map import REASONS, StabilityConfig, stability_map
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchConfig:
+    """Which footfalls are tried, and how they are weighed against each other."""
+
+    radius_fraction: float = 0.6
+    """of the stride: candidates lie this near to the nominal footfall"""
+    weight_distance: float = 1.0
+    """of the distance from the nominal footfall over the search radius"""
+    weight_terrain: float = 0.6
+    """of the footfall cost over its typical value on walkable ground"""
+    typical_terrain: float = 0.0015
+    """free volume under SDM-B's wheel on ground with 2 cm of roughness [m3]"""
+    weight_future: float = 2.0
+    """added where the leg could not carry the chassis one stride further from that footfall"""
+    wheel_spacing: float = 0.20
+    """between the hulls of two wheels, seen from above [m]"""
+    tried: int = 10
+    """candidates for which a path is planned before the leg gives up"""
+    max_torque_fraction: float = 0.95
+    """believed, with the leg in the air"""
+    max_height_step: float = 0.45
+    """a footfall higher or lower than this against the wheel's present contact is not tried [m]"""
+
+    def __post_init__(self) -> None:
+        if not (self.radius_fraction > 0.0 and self.typical_terrain > 0.0 and self.tried >= 1):
+            raise ConfigError(f"step search needs a positive radius, terrain scale and number of tries, got {self}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class TouchdownConfig:
+    """Lifting off and coming down."""
+
+    method: str = "guarded"
+    """"guarded": down until the wheel carries its share; it feels the ground by the leg's torques"""
+    lift_clearance: float = 0.12
+    """of the wheel above its old place before it swings [m]"""
+    approach_clearance: float = 0.12
+    """of the wheel above the footfall where the descent begins; the map may be wrong by half of it [m]"""
+    search_depth: float = 0.12
+    """how far below the expected ground the descent goes on, compensation apart [m]"""
+    load_fraction: float = 0.92
+    """of the load the springs promise the wheel, at which the descent ends"""
+
+    def __post_init__(self) -> None:
+        if self.method != "guarded":
+            raise ConfigError(f"touchdown {self.method!r} is not one of guarded")
+        if not 0.1 <= self.load_fraction <= 1.0:
+            raise ConfigError(f"load_fraction is {self.load_fraction}, must be within 0.1 to 1")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Ground:
+    """The terrain as one plan sees it."""
+
+    heights: HeightGrid
+    """believed heights, NaN where unknown"""
+    filled: HeightGrid
+    """the same without NaN, for collisions"""
+    footfalls: FootfallMap
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepConfig:
+    """All settings of one step's planning."""
+
+    gait: GaitConfig
+    search: SearchConfig
+    touchdown: TouchdownConfig
+    sag: SagConfig
+    stability: StabilityConfig
+    collision: CollisionConfig
+    swing: SwingConfig
+    leg_planner: str
+    shift: ShiftLimits
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class StepRequest:
+    """What step is wanted."""
+
+    leg: int
+    """index 0 to 5"""
+    heading: Vec2
+    """direction of travel in world"""
+    remaining: float
+    """distance of the chassis from its goal [m]"""
+    footfall_xy: Vec2 | None = None
+    """the operator's own choice; the gait's when None [m]"""
+    refused_xy: Points2 | None = None
+    """places that were refused or failed: not tried again"""
+    refused_radius: float = 0.12
+    """[m]"""
+    extra_lift: float = 0.0
+    """after a lift that did not break contact [m]"""
+
+
+def search_step(
+    kin: Kinematics,
+    springs: FootSprings,
+    belief: Belief,
+    ground: Ground,
+    request: StepRequest,
+    *,
+    config: StepConfig,
+    payload_kg: float,
+    rng: np.random.Generator,
+) -> StepPlan | NoStep:
+    """A step of one leg that passes every check, or which check refused how many candidates."""
+    leg, refused = request.leg, Counter[str]()
+    sag = _predict(kin, springs, belief, leg, request, config, payload_kg)
+    if sag.status != "converged":
+        return NoStep(reason=f"leg {leg + 1} cannot be lifted: the springs say {sag.status}", refused={sag.status: 1})
+    airborne = not belief.planted[leg]
+    swing_pose = belief.world_from_hex if airborne else belief.world_from_hex.compose(sag.standing_from_swinging)
+    torque = _torque(kin, belief, sag)
+    if torque > config.search.max_torque_fraction and not airborne:
+        return NoStep(reason=f"lifting leg {leg + 1} asks {100 * torque:.0f} % of a joint's torque", refused={"torque": 1})
+
+    places = _candidates(kin, belief, ground, request, config, refused)
+    if len(places) == 0:
+        return NoStep(reason=f"no allowed footfall for leg {leg + 1} near the gait's", refused=dict(refused))
+    judged = stability_map(
+        kin,
+        belief.joints,
+        leg=leg,
+        footfalls_in_world=places,
+        world_from_hex=swing_pose,
+        config=config.stability,
+        lift=config.touchdown.approach_clearance,
+        payload_kg=payload_kg,
+    )
+    refused.update({REASONS[code]: int(n) for code, n in enumerate(np.bincount(judged.reason)) if code and n})
+    places = places[judged.ok]
+    if len(places) == 0:
+        return NoStep(reason=f"no stable, reachable footfall for leg {leg + 1}", refused=dict(refused))
+    order = np.argsort(_cost(kin, belief, ground, request, config, places), kind="stable")
+
+    start = _lifted(kin, belief, leg, sag, airborne=airborne)
+    if start is None:
+        return NoStep(reason=f"leg {leg + 1} cannot lift high enough", refused={"lift_reach": 1})
+    lift_in_hex, q_lift = start
+    collision = LegCollision(
+        kin.spec, _raised(ground.filled, sag.terrain_raise), swing_pose, belief.joints, leg, config.collision
+    )
+    for place in places[order[: config.search.tried]]:
+        plan = _try(
+            kin, springs, belief, ground, request, place,
+            sag=sag, swing_pose=swing_pose, lift_in_hex=lift_in_hex, q_lift=q_lift, airborne=airborne,
+            collision=collision, torque=torque, config=config, payload_kg=payload_kg, rng=rng, refused=refused,
+        )  # fmt: skip
+        if plan is not None:
+            return plan
+    return NoStep(reason=f"no collision-free path for leg {leg + 1}", refused=dict(refused))
+
+
+def _predict(
+    kin: Kinematics, springs: FootSprings, belief: Belief, leg: int, request: StepRequest, config: StepConfig, payload: float
+) -> SagPrediction:
+    com = kin.com_in_hex(belief.joints, payload)
+    return predict_sag(
+        kin.wheels_in_hex(belief.motors),
+        leg,
+        com_planted=com,
+        com_airborne=com,
+        weight=(kin.spec.mass + payload) * GRAVITY,
+        clearance=config.touchdown.lift_clearance + request.extra_lift,
+        springs=springs,
+        config=config.sag,
+        gravity_in_hex=belief.gravity_in_hex(),
+    )
+
+
+def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction) -> float:
+    gravity = belief.gravity_in_hex()
+    contacts = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
+    fractions = torque_fractions(
+        kin, belief.joints, wheel_forces_in_hex=sag.forces_swinging, contact_in_hex=contacts, gravity_in_hex=gravity
+    )
+    return float(np.abs(fractions).max()) if sag.forces_swinging.any() else 0.0
+
+
+def _candidates(
+    kin: Kinematics, belief: Belief, ground: Ground, request: StepRequest, config: StepConfig, refused: Counter[str]
+) -> Points3:
+    """Allowed cells near the nominal footfall, shape (n, 3)."""
+    spec, grid = kin.spec, ground.footfalls.grid
+    if request.footfall_xy is not None:
+        target, radius = request.footfall_xy, 1.5 * grid.cell
+    else:
+        target = nominal_footfall(
+            spec, config.gait, leg=request.leg, world_from_hex=belief.world_from_hex, heading=request.heading,
+            remaining=request.remaining,
+        )  # fmt: skip
+        radius = config.search.radius_fraction * stride(spec, config.gait)
+    xs, ys = grid.centres()
+    near = np.hypot(xs[:, None] - target[0], ys[None, :] - target[1]) <= radius
+    ix, iy = np.nonzero(near)
+    veto = ground.footfalls.veto[ix, iy]
+    for code in np.unique(veto[veto != 0]):
+        refused[ground.footfalls.reasons[int(code)]] += int(np.sum(veto == code))
+    ix, iy = ix[veto == 0], iy[veto == 0]
+    places = np.column_stack([xs[ix], ys[iy], ground.footfalls.contact_height[ix, iy]])
+
+    others = np.delete(belief.contacts_in_world[:, :2], request.leg, axis=0)
+    distance = np.linalg.norm(places[:, None, :2] - others[None], axis=-1).min(axis=1)
+    apart = distance >= 2 * spec.wheel.radius + config.search.wheel_spacing
+    refused["near_another_wheel"] += int(np.sum(~apart))
+    present = belief.contacts_in_world[request.leg]
+    climb = np.abs(places[:, 2] - present[2]) <= config.search.max_height_step
+    refused["height_step"] += int(np.sum(apart & ~climb))
+    keep = apart & climb
+    if belief.planted[request.leg] and request.footfall_xy is None:
+        moves = (places[:, :2] - present[:2]) @ request.heading >= min(config.gait.min_step, request.remaining)
+        refused["no_progress"] += int(np.sum(keep & ~moves))
+        keep &= moves
+    if request.refused_xy is not None and len(request.refused_xy):
+        again = np.linalg.norm(places[:, None, :2] - request.refused_xy[None], axis=-1).min(axis=1)
+        keep &= again > request.refused_radius
+    return np.asarray(places[keep])
+
+
+def _cost(
+    kin: Kinematics, belief: Belief, ground: Ground, request: StepRequest, config: StepConfig, places: Points3
+) -> np.ndarray:
+    spec, search = kin.spec, config.search
+    target = nominal_footfall(
+        spec, config.gait, leg=request.leg, world_from_hex=belief.world_from_hex, heading=request.heading,
+        remaining=request.remaining,
+    )  # fmt: skip
+    if request.footfall_xy is not None:
+        target = request.footfall_xy
+    span = stride(spec, config.gait)
+    ix, iy, _ = ground.footfalls.grid.index(places[:, :2])
+    distance = np.linalg.norm(places[:, :2] - target, axis=1) / (search.radius_fraction * span)
+    terrain = np.minimum(ground.footfalls.cost[ix, iy] / search.typical_terrain, 3.0)
+    ahead = min(span, request.remaining)
+    later = SE3(belief.world_from_hex.rotation, belief.world_from_hex.translation + np.append(ahead * request.heading, 0.0))
+    hex_from_world = later.inverse()
+    _, holds = leg_ik(
+        spec, request.leg, hex_from_world.apply(places + spec.wheel.radius * UP), last_link_in_hex=hex_from_world.rotate(-UP)
+    )
+    return np.asarray(
+        search.weight_distance * distance + search.weight_terrain * terrain + search.weight_future * ~holds
+    )
+
+
+def _lifted(
+    kin: Kinematics, belief: Belief, leg: int, sag: SagPrediction, *, airborne: bool
+) -> tuple[Vec3 | None, np.ndarray] | None:
+    """Axle and motor angles after lift-off."""
+    if airborne:
+        return None, belief.motors[leg]
+    pose = kin.leg_wheel(leg, belief.motors[leg])
+    up = -belief.gravity_in_hex() / GRAVITY
+    target = pose.translation + sag.commanded_lift * up
+    steps = pose.translation + np.linspace(0.25, 1.0, 4)[:, None] * (target - pose.translation)
+    hip = float(belief.motors[leg, 1]) if kin.spec.stance_hip_pitch is not None else None
+    q, ok = leg_ik(kin.spec, leg, steps, last_link_in_hex=pose.rotation[:, 0], hip_pitch=hip)
+    return (target, q[-1]) if ok.all() else None
+
+
+def _try(
+    kin: Kinematics,
+    springs: FootSprings,
+    belief: Belief,
+    ground: Ground,
+    request: StepRequest,
+    place: Vec3,
+    *,
+    sag: SagPrediction,
+    swing_pose: SE3,
+    lift_in_hex: Vec3 | None,
+    q_lift: np.ndarray,
+    airborne: bool,
+    collision: LegCollision,
+    torque: float,
+    config: StepConfig,
+    payload_kg: float,
+    rng: np.random.Generator,
+    refused: Counter[str],
+) -> StepPlan | None:
+    spec, leg, touch = kin.spec, request.leg, config.touchdown
+    hex_from_world = swing_pose.inverse()
+    axle = place + spec.wheel.radius * UP
+    above, down = hex_from_world.apply(axle + touch.approach_clearance * UP), hex_from_world.rotate(-UP)
+    depth = sag.reload + touch.search_depth
+    ends = np.array([above, hex_from_world.apply(axle), hex_from_world.apply(axle - depth * UP)])
+    q, ok = leg_ik(spec, leg, ends, last_link_in_hex=down)
+    if not ok.all():
+        refused["descent_reach"] += 1
+        return None
+    path = plan_swing(
+        collision, spec, belief.motors[leg], q[1],
+        lift_waypoint_q=q_lift, touchdown_waypoint_q=q[0], planner=config.leg_planner, rng=rng, config=config.swing,
+    )  # fmt: skip
+    if not isinstance(path, SwingPath):
+        refused[f"path_{path.reason}"] += 1
+        return None
+
+    landed = belief.joints.copy()
+    landed[leg] = q[1]
+    contacts = belief.contacts_in_world.copy()
+    contacts[leg] = place
+    com_swing = swing_pose.apply(kin.com_in_hex(belief.joints, payload_kg))
+    com_landed = belief.world_from_hex.apply(kin.com_in_hex(landed, payload_kg))
+    standing = solve_sag(
+        kin.wheels_in_hex(landed),
+        kin.com_in_hex(landed, payload_kg),
+        (spec.mass + payload_kg) * GRAVITY,
+        stiffness_z=springs.stiffness_z,
+        lateral_ratio=springs.lateral_ratio,
+        lifts=np.where(belief.planted | (np.arange(6) == leg), 0.0, AIRBORNE),
+        gravity_in_hex=belief.gravity_in_hex(),
+    )
+    share = float(standing.forces[leg] @ -belief.gravity_in_hex() / GRAVITY)
+    if not standing.converged or share <= 0.0:
+        refused["landed_load"] += 1
+        return None
+    shift = plan_shift(
+        kin, belief, landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
+        remaining=request.remaining, filled=ground.filled, gait=config.gait, stability=config.stability,
+        limits=config.shift, collision=config.collision, payload_kg=payload_kg,
+    )  # fmt: skip
+    poses, joints = [belief.world_from_hex], [belief.joints]
+    for waypoint in (q_lift, *path.waypoints, q[0]):
+        row = belief.joints.copy()
+        row[leg] = waypoint
+        joints.append(row)
+        poses.append(swing_pose)
+    joints.append(landed)
+    poses.append(belief.world_from_hex)
+    drop = swing_pose.translation[2] - belief.world_from_hex.translation[2]
+    return StepPlan(
+        leg=leg,
+        footfall_in_world=np.asarray(place),
+        lift_in_hex=lift_in_hex,
+        swing=path.waypoints,
+        descent_in_hex=ends[2],
+        contact_load=touch.load_fraction * share,
+        shift=shift,
+        world_from_hex_swing=swing_pose,
+        preview_joints=np.array(joints),
+        preview_world_from_hex=tuple(poses),
+        lift_clearance=touch.lift_clearance,
+        swing_margin=float(support_margin(com_swing, np.delete(contacts, leg, axis=0))),
+        landed_margin=float(cps_margin(com_landed, contacts)),
+        sag=float(max(abs(drop), sag.tilt * np.linalg.norm(spec.hips_in_hex[leg]))),
+        peak_torque_fraction=torque,
+        planner_checks=path.checks,
+    )
+
+
+def _raised(heights: HeightGrid, by: float) -> HeightGrid:
+    """The terrain lifted, the heuristic of 2008 ([SunSpiral2012] s4.1)."""
+    if by == 0.0:
+        return heights
+    return HeightGrid(
+        origin_x=heights.origin_x, origin_y=heights.origin_y, cell=heights.cell, heights=heights.heights + by
+    )

@@ -1,0 +1,65 @@
+"""Plans to command sequences: the last thing the ground does before the link.
+
+A step goes up as one sequence, so it costs one command cycle: lift-off, swing, guarded descent, chassis shift, pictures
+for the next step. The executive stops it at the first fault.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from athlete_twin.geometry.arrays import Vec3
+from athlete_twin.messages import BodyMove, Command, CommandSequence, ImageRequest, JointMove, LegMove
+from planner.gait.step_plan import BodyShift, StepPlan
+
+SMALLEST_SHIFT = 1e-3
+"""below this in metres and radians a shift is left out"""
+
+
+def step_commands(plan: StepPlan) -> list[Command]:
+    """Lift-off, swing, guarded descent and shift of one step."""
+    commands: list[Command] = []
+    if plan.lift_in_hex is not None:
+        commands.append(LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact"))
+    commands.append(JointMove(leg=plan.leg, waypoints=plan.swing))
+    commands.append(
+        LegMove(leg=plan.leg, wheel_in_hex=plan.descent_in_hex, guard="contact", contact_load=plan.contact_load)
+    )
+    return commands + shift_commands(plan.shift)
+
+
+def shift_commands(shift: BodyShift) -> list[Command]:
+    """The chassis shift, if it is worth a command."""
+    size = max(float(np.abs(shift.translation_in_hex).max()), float(np.abs(shift.rotvec_in_hex).max()))
+    if size < SMALLEST_SHIFT:
+        return []
+    return [BodyMove(translation_in_hex=shift.translation_in_hex, rotvec_in_hex=shift.rotvec_in_hex)]
+
+
+def lower_commands(leg: int, axle_in_hex: Vec3, contact_load: float) -> list[Command]:
+    """A guarded descent alone: the ground lay lower than the map said."""
+    return [LegMove(leg=leg, wheel_in_hex=axle_in_hex, guard="contact", contact_load=contact_load)]
+
+
+def as_sequence(
+    commands: list[Command],
+    *,
+    robot_id: str,
+    sequence_id: int,
+    t: float,
+    cameras: tuple[str, ...] = (),
+    binning: int = 2,
+    max_torque_fraction: float = 1.0,
+    max_tilt: float = 0.35,
+) -> CommandSequence:
+    """Commands, and pictures after them, as one sequence to send up at mission time `t` [s]."""
+    all_commands = [*commands, ImageRequest(cameras=cameras, binning=binning)] if cameras else commands
+    return CommandSequence(
+        seq=sequence_id,
+        robot_id=robot_id,
+        t=t,
+        sequence_id=sequence_id,
+        commands=tuple(all_commands),
+        max_torque_fraction=max_torque_fraction,
+        max_tilt=max_tilt,
+    )
