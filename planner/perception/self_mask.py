@@ -20,7 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, no_type_check, runtime_checkable
+from typing import no_type_check
 
 import cv2
 import numba
@@ -31,23 +31,13 @@ from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.arrays import DepthMap, Mask, Points3, Vec3
 from athlete_twin.geometry.open3d_loader import open3d
 from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.appearance import VisualPart
 from planner.perception.stereo import DepthImage
 
 METHODS = ("watershed", "kinematic", "combined", "none")
 UNKNOWN, GROUND = 0, 1
 """labels of pixels without depth and of pixels too low to tell from ground; objects count from 2"""
 LEVELS = 256
-
-
-@runtime_checkable
-class LinkMesh(Protocol):
-    """A drawn solid that moves with one link."""
-
-    link: str
-    vertices: np.ndarray
-    """in the link's frame, shape (n, 3) [m]"""
-    triangles: np.ndarray
-    """shape (m, 3)"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,10 +58,16 @@ class SelfMaskConfig:
     """watershed alone: an object that rises this far above the ground is no rock [m]"""
     hanging_height: float = 0.35
     """watershed alone: nor one whose lowest part is this high [m]"""
+    contact_radius: float = 0.40
+    """watershed alone: what stands this near to where a wheel is believed to stand is that wheel, never a rock [m]"""
+    leg_reach: float = 4.5
+    """watershed alone: farther from the chassis' axis there is no leg [m]"""
     leg_area: tuple[float, float] = (0.01, 6.0)
     """watershed alone: visible surface of a leg, least and most [m2]"""
     seed_overlap: float = 0.5
-    """combined: a segment with this part of its pixels on the drawn legs is taken whole"""
+    """combined: a segment with this part of its pixels on the drawn legs is taken"""
+    growth: float = 4.0
+    """combined: but no farther from the drawing than this many times the belief's tolerance"""
     pose_tolerance: float = 0.03
     """by which a leg's drawn place may miss the true one [m]"""
     angle_tolerance: float = 0.005
@@ -106,7 +102,7 @@ def remove_self(
     depth: DepthImage,
     *,
     config: SelfMaskConfig,
-    parts: Sequence[LinkMesh],
+    parts: Sequence[VisualPart],
     hex_from_link: Mapping[str, SE3],
     up_in_hex: Vec3,
     ground_in_hex: Points3,
@@ -136,21 +132,24 @@ def remove_self(
         labels = segment(depth, height, config=config)
         if config.method == "combined":
             chosen = _overlapping(labels, robot, config)
+            limit = beside_drawing(depth, expected, config=config, factor=config.growth)
         else:
-            chosen = _leg_like(depth, labels, height, config)
-        taken = np.isin(labels, chosen) if chosen else np.zeros_like(robot)
+            chosen = _leg_like(depth, labels, height, ground_in_hex, config)
+            limit = np.ones_like(robot)
+        taken = (np.isin(labels, chosen) & limit) if chosen else np.zeros_like(robot)
         robot = robot | _dilated_in_depth(depth, taken, config)
     masked = replace(depth, depth=np.where(robot, np.nan, depth.depth), sigma=np.where(robot, np.nan, depth.sigma))
     return MaskedDepth(depth=masked, mask=robot, labels=labels, robot_labels=chosen, expected=expected)
 
 
-def draw_robot(depth: DepthImage, parts: Sequence[LinkMesh], hex_from_link: Mapping[str, SE3]) -> DepthMap:
+def draw_robot(depth: DepthImage, parts: Sequence[VisualPart], hex_from_link: Mapping[str, SE3]) -> DepthMap:
     """Depth of the drawn robot at the believed pose as this camera would see it, NaN where it is not [m]."""
     o3d = open3d()
     camera_from_hex = depth.camera.hex_from_camera.inverse()
     scene = o3d.t.geometry.RaycastingScene()
     for part in parts:
-        vertices = camera_from_hex.compose(hex_from_link[part.link]).apply(part.vertices)
+        camera_from_part = camera_from_hex.compose(hex_from_link[part.link]).compose(part.link_from_part)
+        vertices = camera_from_part.apply(part.vertices)
         scene.add_triangles(
             o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
             o3d.core.Tensor(np.ascontiguousarray(part.triangles, dtype=np.uint32)),
@@ -171,14 +170,27 @@ def near_drawing(depth: DepthImage, expected: DepthMap, *, config: SelfMaskConfi
     drawn = np.isfinite(expected)
     if not drawn.any():
         return np.zeros(drawn.shape, dtype=bool)
-    outside, nearest = ndimage.distance_transform_edt(~drawn, return_indices=True)
+    outside, leg_depth, reach = _outline(depth, expected, config)
     inside = cv2.distanceTransform(drawn.astype(np.uint8), cv2.DIST_L2, 5)
-    # The far part of the robot nearest to the pixel, so that a shank before the far chassis is judged as a whole.
-    leg_depth = np.where(drawn, expected, expected[tuple(nearest)])
-    reach = depth.eye.focal_px * (config.pose_tolerance / leg_depth + config.angle_tolerance) + config.dilate_px
     close = np.nan_to_num(depth.depth, nan=np.inf) <= leg_depth + config.depth_tolerance
     band = (outside <= reach) & (inside <= reach)
     return np.asarray((drawn & (inside > reach)) | (band & close))
+
+
+def beside_drawing(depth: DepthImage, expected: DepthMap, *, config: SelfMaskConfig, factor: float) -> Mask:
+    """Pixels on the drawn robot or within `factor` times the belief's tolerance beside it."""
+    if not np.isfinite(expected).any():
+        return np.zeros(expected.shape, dtype=bool)
+    outside, _, reach = _outline(depth, expected, config)
+    return np.asarray(outside <= factor * reach)
+
+
+def _outline(depth: DepthImage, expected: DepthMap, config: SelfMaskConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Distance of every pixel from the drawing [px], depth of the nearest drawn pixel [m], the belief's tolerance [px]."""
+    outside, nearest = ndimage.distance_transform_edt(np.isnan(expected), return_indices=True)
+    leg_depth = expected[tuple(nearest)]
+    reach = depth.eye.focal_px * (config.pose_tolerance / leg_depth + config.angle_tolerance) + config.dilate_px
+    return outside, leg_depth, reach
 
 
 def height_above_ground(depth: DepthImage, up_in_hex: Vec3, ground_in_hex: Points3) -> DepthMap:
@@ -243,8 +255,10 @@ def _overlapping(labels: np.ndarray, seed: Mask, config: SelfMaskConfig) -> tupl
     return tuple(int(n) for n in chosen if n > GROUND)
 
 
-def _leg_like(depth: DepthImage, labels: np.ndarray, height: DepthMap, config: SelfMaskConfig) -> tuple[int, ...]:
-    """Segments that are too tall or hang too high for a rock, of a leg's size; a wheel counts with the leg it joins."""
+def _leg_like(
+    depth: DepthImage, labels: np.ndarray, height: DepthMap, ground_in_hex: Points3, config: SelfMaskConfig
+) -> tuple[int, ...]:
+    """Segments of a leg's size that are too tall or hang too high for a rock, or that stand where a wheel stands."""
     group = _merged(depth, labels, config)
     objects = labels > GROUND
     if not objects.any():
@@ -253,6 +267,12 @@ def _leg_like(depth: DepthImage, labels: np.ndarray, height: DepthMap, config: S
     index = np.unique(which[objects])
     pixel_area = (np.nan_to_num(depth.depth) / depth.eye.focal_px) ** 2
     area = ndimage.sum_labels(pixel_area, np.where(objects, which, 0), index)
+    points = depth.camera.hex_from_camera.apply(depth.points_in_camera())[objects][:, :2]
+    away = np.linalg.norm(points, axis=1)
+    steps = [np.linalg.norm(points - wheel, axis=1) for wheel in np.asarray(ground_in_hex)[:, :2]]
+    from_wheel = np.min(steps, axis=0) if steps else np.full(len(points), np.inf)
+    distances = ndimage.median(away, which[objects], index)
+    wheel_distances = ndimage.median(from_wheel, which[objects], index)
     chosen: list[int] = []
     order = np.argsort(which[objects], kind="stable")
     values = height[objects][order]
@@ -260,7 +280,9 @@ def _leg_like(depth: DepthImage, labels: np.ndarray, height: DepthMap, config: S
     for k, g in enumerate(index):
         low, high = np.quantile(values[edges[k] : edges[k + 1]], [0.05, 0.95])
         sized = config.leg_area[0] <= area[k] <= config.leg_area[1]
-        if sized and (high > config.leg_height or low > config.hanging_height):
+        like_leg = high > config.leg_height or low > config.hanging_height
+        at_wheel = wheel_distances[k] < config.contact_radius
+        if sized and distances[k] < config.leg_reach and (like_leg or at_wheel):
             chosen.extend(int(n) for n in np.flatnonzero(group == g) if n > GROUND)
     return tuple(chosen)
 

@@ -43,6 +43,11 @@ class FusionConfig:
     """points farther away are not used [m]"""
     max_sigma: float = 0.08
     """nor points whose depth is worse than this [m]"""
+    bridge: int = 4
+    """the gap between neighbouring rows of pixels, wider than a cell on far ground, is bridged by up to as many points
+    less one, where both lie on one surface"""
+    bridge_step_px: float = 1.0
+    """their disparities differ by less than this"""
     outliers: str = "neighbours"
     """"neighbours" (in the image, milliseconds), "statistical" (Open3D's, after a voxel filter) or "none" """
     gate_sigma: float = 3.0
@@ -194,15 +199,45 @@ def points_in_world(depth: DepthImage, world_from_camera: SE3, *, config: Fusion
     use &= np.nan_to_num(depth.sigma, nan=np.inf) <= config.max_sigma
     if config.outliers == "neighbours":
         use &= _supported(depth)
-    rays_in_camera = depth.eye.rays()[use]
-    z = depth.depth[use]
-    rays_in_world = world_from_camera.rotate(rays_in_camera)
+    rays, inverse, sigma = _bridged(depth, use, config)
+    z = 1.0 / inverse
+    rays_in_world = world_from_camera.rotate(rays)
     points = rays_in_world * z[:, None] + world_from_camera.translation
     # A wrong depth moves the point along its ray; on ground seen at a slant that is mostly sideways.
-    sigma_z = np.maximum(depth.sigma[use] * np.abs(rays_in_world[:, 2]), 1e-4)
+    sigma_z = np.maximum(sigma * np.abs(rays_in_world[:, 2]), 1e-4)
     if config.outliers == "statistical":
         return _statistical(points, sigma_z, config)
     return points, sigma_z
+
+
+def _bridged(depth: DepthImage, use: np.ndarray, config: FusionConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rays, inverse depths and sigmas of the used pixels and of points between them and the pixels below.
+
+    The inverse depth is linear along a plane's image, so the points between lie on the plane through both.
+    """
+    rays = depth.eye.rays()
+    safe = np.where(use, depth.depth, 1.0)
+    inverse = 1.0 / safe
+    out = [(rays[use], inverse[use], depth.sigma[use])]
+    shift = depth.eye.focal_px * depth.camera.baseline
+    joined = use[:-1] & use[1:] & (np.abs(inverse[:-1] - inverse[1:]) * shift < config.bridge_step_px)
+    upper, lower = rays[:-1][joined], rays[1:][joined]
+    first, second = inverse[:-1][joined], inverse[1:][joined]
+    sigma = np.maximum(depth.sigma[:-1], depth.sigma[1:])[joined]
+    gap = np.linalg.norm(upper / first[:, None] - lower / second[:, None], axis=1)
+    # Points half a cell apart leave no cell of the gap empty.
+    pieces = np.minimum(np.ceil(gap / (0.5 * config.cell)), config.bridge)
+    for k in range(1, config.bridge):
+        some = pieces > k
+        at = (k / pieces[some])[:, None]
+        ray = (1.0 - at) * upper[some] + at * lower[some]
+        between = (1.0 - at[:, 0]) * first[some] + at[:, 0] * second[some]
+        out.append((ray, between, sigma[some]))
+    return (
+        np.concatenate([o[0] for o in out]),
+        np.concatenate([o[1] for o in out]),
+        np.concatenate([o[2] for o in out]),
+    )
 
 
 def _supported(depth: DepthImage) -> np.ndarray:

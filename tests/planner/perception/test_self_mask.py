@@ -1,22 +1,14 @@
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 
 from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.appearance import VisualPart
 from planner.perception.self_mask import SelfMaskConfig, draw_robot, height_above_ground, remove_self, segment
 from planner.perception.stereo import StereoConfig, match
 
 UP = np.array([0.0, 0.0, 1.0])
 LEG, ROCK, SWUNG = 1, 2, 3
-
-
-@dataclass
-class Mesh:
-    link: str
-    vertices: np.ndarray
-    triangles: np.ndarray
 
 
 def tube(link, radius, low, high, n=32):
@@ -26,7 +18,14 @@ def tube(link, radius, low, high, n=32):
     k, m = np.arange(n), (np.arange(n) + 1) % n
     sides = np.vstack([np.column_stack([k, m, k + n]), np.column_stack([m, m + n, k + n])])
     caps = np.vstack([np.column_stack([np.zeros(n - 2, int) + s, k[1:-1] + s, k[2:] + s]) for s in (0, n)])
-    return Mesh(link, vertices, np.vstack([sides, caps]))
+    return VisualPart(
+        link=link,
+        link_from_part=SE3.identity(),
+        vertices=vertices,
+        triangles=np.vstack([sides, caps]),
+        colour=np.full(3, 0.5),
+        albedo=0.5,
+    )
 
 
 @pytest.fixture
