@@ -17,6 +17,7 @@ from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
 from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, StereoPair, Stop, Telemetry
+from athlete_twin.model.appearance import visual_parts
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import LEGS, RobotSpec
@@ -24,7 +25,7 @@ from athlete_twin.model.stance import stance_wheels_in_hex
 from athlete_twin.moves import Sensed
 from athlete_twin.physics.body import Body, settled
 from athlete_twin.physics.truth import TrialTruth, draw_truth
-from athlete_twin.sensors.proprioception import Proprioception
+from athlete_twin.sensors.proprioception import Measurement, Proprioception, ProprioceptionNoise
 from athlete_twin.world.bullet_world import TICK, BulletWorld
 from athlete_twin.world.scenario import Scenario
 from athlete_twin.world.terrain import Terrain, build_terrain
@@ -122,7 +123,18 @@ class Athlete:
         self.world = BulletWorld(self.terrain.grid)
         self.body = Body(self.world, spec, self.trial, friction=self.terrain.friction, payload_kg=payload_kg)
         self.payload_kg = payload_kg
-        self._senses = Proprioception(spec, seed, trial=self.trial)
+        truth = self.trial.truth
+        self._senses = Proprioception(
+            seed=seed,
+            encoder_zero=self.trial.encoder_zero,
+            noise=ProprioceptionNoise(
+                encoder_bits=int(truth.encoder_bits),
+                attitude=truth.attitude_noise,
+                yaw_drift=truth.yaw_drift,
+                rate=truth.rate_noise,
+                acceleration=truth.acceleration_noise,
+            ),
+        )
         self._eyes: Any = None
         self.t = 0.0
         self._ticks = 0
@@ -142,6 +154,7 @@ class Athlete:
         self.body.place(world_from_hex, joints)
         self._settle()
         self._record_track()
+        self._waiting: list[Message] = [self._telemetry()]
 
     # --- Robot protocol -------------------------------------------------------------------------------------------
 
@@ -159,7 +172,7 @@ class Athlete:
 
     def advance(self, until: float) -> list[Message]:
         """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first."""
-        out: list[Message] = []
+        out, self._waiting = self._waiting, []
         while self.t < until - 1e-9 and not out:
             if not self.executive.busy and self._rest:
                 self.t = until
@@ -219,7 +232,7 @@ class Athlete:
                 break
         self._rest = True
 
-    def _sense(self) -> dict[str, Any]:
+    def _sense(self) -> Measurement:
         body = self.body
         _, angular = body.velocity()
         world_from_hex = body.world_from_hex()
@@ -228,7 +241,7 @@ class Athlete:
         return self._senses.measure(
             body.joints,
             body.motors,
-            body.stiffness,
+            stiffness=self.trial.truth.joint_stiffness,
             world_from_hex=world_from_hex,
             rates_in_hex=to_hex @ angular,
             acceleration_in_hex=to_hex @ np.array([0.0, 0.0, GRAVITY]),
@@ -238,7 +251,7 @@ class Athlete:
 
     def _control_tick(self) -> list[Message]:
         measured = self._sense()
-        sensed = Sensed(joints=measured["joints"], torques=measured["torques"], attitude_rpy=measured["attitude_rpy"])
+        sensed = Sensed(joints=measured.joints, torques=measured.torques, attitude_rpy=measured.attitude_rpy)
         before, state = self.executive.setpoint, self.executive.state
         events = self.executive.tick(sensed)
         commands = self.executive.setpoint - self.trial.encoder_zero
@@ -293,15 +306,17 @@ class Athlete:
                 [Event(kind="fault", sequence_id=event.sequence_id, command_index=event.command_index, status="bad_command", text=text)]
             )
         if self._eyes is None:
+            from athlete_twin.sensors.renderer import Renderer
             from athlete_twin.sensors.stereo_camera import StereoRig
 
-            self._eyes = StereoRig.for_robot(self.spec, self.terrain, self.scenario, self.trial)
+            renderer = Renderer(self.terrain, visual_parts(self.spec))
+            self._eyes = StereoRig(self.spec, renderer, seed=self.seed, camera_error=self.trial.camera_error)
         state = self._telemetry()
         shots = self._eyes.capture(
             event.request.cameras,
             event.request.binning,
-            link_poses=self.body.link_poses(),
-            t=self.t,
+            self.body.link_poses(),
+            world_from_hex=self.body.world_from_hex(),
             index=self._captures,
         )
         self._captures += 1
@@ -322,7 +337,7 @@ class Athlete:
             executive_state=self.executive.state,
             sequence_id=self.executive.sequence_id,
             command_index=self.executive.command_index,
-            **self._sense(),
+            **self._sense().fields(),
         )
 
     def _next(self, kind: str) -> int:

@@ -164,14 +164,14 @@ def leg_coms_in_hex(spec: RobotSpec, leg: int, q: np.ndarray) -> np.ndarray:
     The same as Pinocchio's, for many configurations at once.
     """
     angles = np.where(np.isfinite(q), q, 0.0)
-    turn = Rotation.from_euler("z", np.full(len(q), spec.hip_azimuths[leg]))
+    turn = Rotation.from_euler("z", np.full((len(q), 1), spec.hip_azimuths[leg]))
     at = np.broadcast_to(spec.hips_in_hex[leg], (len(q), 3))
     moment, mass = np.zeros((len(q), 3)), 0.0
     for place, joint in enumerate(spec.joints):
-        at = at + turn.apply(joint.offset)
+        at = at + turn.apply(np.array(joint.offset))
         turn = turn * Rotation.from_rotvec(angles[:, place, None] * joint.axis)
-        moment += joint.link_mass * (at + turn.apply(joint.link_com))
+        moment += joint.link_mass * (at + turn.apply(np.array(joint.link_com)))
         mass += joint.link_mass
-    moment += spec.wheel.mass * (at + turn.apply(spec.wheel.offset))
+    moment += spec.wheel.mass * (at + turn.apply(np.array(spec.wheel.offset)))
     out = moment / (mass + spec.wheel.mass)
     return np.where(np.isfinite(q).all(axis=1)[:, None], out, np.nan)
