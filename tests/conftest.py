@@ -9,8 +9,9 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
+# Without the phase that explains a failure: it can take minutes and says little about float arrays.
 # A first example may compile numba code, so no deadline; derandomised, so that a failure shows again on any machine.
 settings.register_profile(
     "project",
@@ -18,6 +19,7 @@ settings.register_profile(
     derandomize=True,
     max_examples=40,
     database=None,
+    phases=[Phase.explicit, Phase.generate, Phase.target, Phase.shrink],
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("project")
