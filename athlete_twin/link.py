@@ -87,7 +87,7 @@ class DelayedLink:
         self.messages_sent += 1
         self._free_at = self._transmitted(max(t, self._free_at), 8.0 * len(raw) / self.config.bandwidth)
         # Both numbers are drawn for every message, so that a link with loss stays paired with one without.
-        late, fate = self._rng.random(2)
+        late, fate = (float(v) for v in self._rng.random(2))
         arrival = max(self._last_arrival, self._free_at + self.config.delay + self.config.jitter * late)
         if fate >= self.config.loss:
             self._last_arrival = arrival

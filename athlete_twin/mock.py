@@ -94,6 +94,8 @@ class MockAthlete:
 
     def advance(self, until: float) -> list[Message]:
         """Run to mission time `until` [s], or until something goes down, whichever comes first."""
+        if self._last_telemetry < 0.0:
+            return [self._telemetry()]
         out: list[Message] = []
         while self.t < until - 1e-9 and not out:
             if not self.executive.busy:
@@ -285,7 +287,7 @@ def balance(
     state = np.asarray(start, dtype=float).copy()
     loads = np.zeros(LEGS)
     for _ in range(30):
-        rotation = SE3.from_rpy(state[1], state[2], 0.0).rotation
+        rotation = _rolled_pitched(state[1], state[2])
         wheels, com = wheels_in_hex @ rotation.T, rotation @ com_in_hex
         sink = radius - (state[0] + wheels[:, 2])
         loads = stiffness * np.maximum(sink, 0.0)
@@ -301,6 +303,12 @@ def balance(
         if np.abs(change).max() < SETTLED:
             break
     return state, loads
+
+
+def _rolled_pitched(roll: float, pitch: float) -> np.ndarray:
+    """Rotation matrix of `SE3.from_rpy(roll, pitch, 0)`, without SciPy's overhead in the innermost loop."""
+    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
 
 
 def fit_plan(points: np.ndarray, places: np.ndarray, used: PerLegFlag) -> Vec3:

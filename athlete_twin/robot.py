@@ -17,8 +17,8 @@ from athlete_twin.messages import CommandSequence, Message, Stop
 class Robot(Protocol):
     """A vehicle with its on-board executive.
 
-    The cadence of telemetry is the robot's own: once a second of mission time while a sequence runs, and whenever its
-    executive changes state.
+    The cadence of telemetry is the robot's own: once at the start, once a second of mission time while a sequence runs,
+    and whenever its executive changes state.
     """
 
     @property
@@ -46,6 +46,7 @@ class Robot(Protocol):
         """Free what it holds."""
 
 
+@runtime_checkable
 class TruthView(Protocol):
     """What is really so with a simulated robot: for scores, recordings and films, never for the ground."""
 
@@ -86,6 +87,7 @@ class TruthView(Protocol):
         """Largest so far, low-passed at 0.1 s."""
 
 
+@runtime_checkable
 class TrackView(Protocol):
     """One sample of the true motion."""
 
@@ -102,6 +104,7 @@ class TrackView(Protocol):
         """Angles after the wind-up [rad]."""
 
 
+@runtime_checkable
 class CollisionView(Protocol):
     """One contact episode of a part that should touch nothing."""
 
@@ -126,6 +129,7 @@ class CollisionView(Protocol):
         """At its beginning [N]."""
 
 
+@runtime_checkable
 class SimulatedRobot(Robot, Protocol):
     """A robot whose truth can be asked."""
 

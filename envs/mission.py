@@ -79,6 +79,8 @@ class Mission:
         self.arrived: Arrived | None = None
         self.no_step: NoStep | None = None
         self.last_fault: Fault | None = None
+        self.stopped = False
+        """whether the operator ended it: the ground does nothing any more"""
         self.waiting_for = ""
         """what the ground awaits, for a progress display"""
         self.completed: deque[tuple[int, TruthView]] = deque()
@@ -193,7 +195,11 @@ class Mission:
     def _ground(self) -> None:
         """Let the ground work until it computes, asks the operator or waits."""
         agent = self.agent
-        while agent is not None and not self.finished and self.t >= max(self._ground_free_at, self._operator_free_at):
+        while (
+            agent is not None
+            and not (self.finished or self.stopped)
+            and self.t >= max(self._ground_free_at, self._operator_free_at)
+        ):
             if self._coming is not None:
                 self.standing, self._coming = self._coming, None
                 if self.recorder:
@@ -217,6 +223,7 @@ class Mission:
         self.standing = self._answer = None
         self._ask_at = self.t
         if decision.kind == "stop":
+            self.stopped = True
             self.send(Stop(seq=self.counts.e_stops, robot_id=self.robot.robot_id, t=self.t, reason="operator"))
         if sequence is not None:
             self.approved[sequence.sequence_id] = proposal

@@ -13,7 +13,7 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, cast
 
 import numpy as np
 from mcap.exceptions import McapError
@@ -73,7 +73,7 @@ class Recorder:
         self._counts: dict[str, int] = {}
         self._open = True
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> Recorder:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -156,8 +156,8 @@ class Recorder:
             "leg": proposal.leg,
             "footfall_in_world": proposal.footfall_in_world,
             "sequence_id": proposal.sequence.sequence_id,
-            "predicted_margin": proposal.predicted_margin,
-            "predicted_sag": proposal.predicted_sag,
+            "predicted_margin": _number(proposal.predicted_margin),
+            "predicted_sag": _number(proposal.predicted_sag),
             "text": proposal.text,
         }
         self.write("/operator/shown", content, t)
@@ -276,6 +276,11 @@ def _joined(line: Recorded, blobs: list[bytes]) -> Message:
     body = b"".join(len(part).to_bytes(4, "big") + part for part in (text, *blobs))
     head = json.dumps({"topic": line.topic, "crc32": crc32, "length": len(body)}).encode()
     return decode(head + b"\n" + body)
+
+
+def _number(value: float) -> float | None:
+    """JSON knows no NaN."""
+    return value if np.isfinite(value) else None
 
 
 def _plain(value: Any) -> Any:

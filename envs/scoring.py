@@ -52,6 +52,8 @@ class Scorer:
     """in world, shape (2,) [m]"""
     start: np.ndarray
     """true chassis origin at the start, shape (2,) [m]"""
+    datum: float
+    """true mean height of the ground under the wheels at the start: where the ground puts its z = 0 [m]"""
     steps_of_leg: np.ndarray = field(default_factory=lambda: np.zeros(LEGS, dtype=int))
     least: Margins | None = None
     peak_torque_fraction: float | None = None
@@ -74,8 +76,8 @@ class Scorer:
 
     def proposed(self, proposal: Proposal, truth: TruthView) -> None:
         """Take in what the ground believed when it proposed."""
-        error = np.linalg.norm(proposal.world_from_hex.translation - truth.world_from_hex.translation)
-        self._localisation_errors.append(float(error))
+        error = proposal.world_from_hex.translation - truth.world_from_hex.translation + [0.0, 0.0, self.datum]
+        self._localisation_errors.append(float(np.linalg.norm(error)))
         self._map = proposal.terrain
 
     def completed(self, proposal: Proposal, truth: TruthView, *, wheels_in_hex: np.ndarray) -> None:
@@ -136,7 +138,7 @@ class Scorer:
         """Believed height against true, over the cells within `MAP_REACH` of the true path (n, 2) [m]."""
         if self._map is None or len(path_xy) == 0:
             return dict.fromkeys(("median", "rmse", "p95", "coverage"))
-        return map_error(self._map, self.grid, path_xy)
+        return map_error(self._map, self.grid, path_xy, datum=self.datum)
 
 
 def true_margins(spec: RobotSpec, truth: TruthView) -> Margins:
@@ -154,13 +156,14 @@ def tilt(world_from_hex: SE3) -> float:
     return float(np.arccos(np.clip(world_from_hex.rotation[2, 2], -1.0, 1.0)))
 
 
-def map_error(believed: HeightGrid, true: HeightGrid, path_xy: np.ndarray) -> Summary:
+def map_error(believed: HeightGrid, true: HeightGrid, path_xy: np.ndarray, *, datum: float) -> Summary:
     """Median, RMS and 95th percentile of the absolute height error, and the share of cells known.
 
     Args:
         believed: heights, NaN where unknown.
         true: the true surface.
         path_xy: cells within `MAP_REACH` of any of these points count, shape (n, 2) [m].
+        datum: true height of what the believed map calls zero [m].
     """
     x, y = believed.centres()
     xy = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
@@ -170,7 +173,7 @@ def map_error(believed: HeightGrid, true: HeightGrid, path_xy: np.ndarray) -> Su
     known = near & np.isfinite(believed.heights)
     if not known.any():
         return {"median": None, "rmse": None, "p95": None, "coverage": 0.0 if near.any() else None}
-    error = np.abs(believed.heights[known] - true.sample(xy[known]))
+    error = np.abs(believed.heights[known] + datum - true.sample(xy[known]))
     return {
         "median": float(np.median(error)),
         "rmse": float(np.sqrt(np.mean(error**2))),

@@ -143,11 +143,13 @@ class Trial:
         """Run to an outcome; `trial.json` and `trial.mcap` are written when it returns."""
         names = ("robot", "scenario", "variant", "seed", "operator")
         metadata = {name: str(getattr(self.setup, name)) for name in names}
+        truth = self.robot.truth()
         self.scorer = Scorer(
             spec=self.spec,
             grid=self.grid,
             goal=np.array(self.setup.goal, dtype=float),
-            start=self.robot.truth().world_from_hex.translation[:2].copy(),
+            start=truth.world_from_hex.translation[:2].copy(),
+            datum=float(np.mean(self.grid.sample(truth.wheels_in_world[:, :2]))),
         )
         self._kin = Kinematics(self.spec)
         self._tipped = False
@@ -214,7 +216,7 @@ class Trial:
             return False
         # The stop still has to reach the robot.
         mission.advance(mission.t + seconds)
-        while np.isfinite(mission.up.next_arrival()):
+        if np.isfinite(mission.up.next_arrival()):
             mission.advance(mission.up.next_arrival())
         return True
 

@@ -154,6 +154,7 @@ class GroundAgent(Protocol):
         """
 
 
+@runtime_checkable
 class StageTimer(Protocol):
     """Measures how long a stage takes; handed to the agent, since the planner reads no clock."""
 
@@ -166,6 +167,7 @@ def untimed(_stage: str, /) -> AbstractContextManager[None]:
     return nullcontext()
 
 
+@runtime_checkable
 class Operator(Protocol):
     """Whoever answers proposals."""
 

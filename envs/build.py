@@ -1,0 +1,78 @@
+"""Builds the two sides of a trial from names: the robot in its scenario, and the ground with its variant.
+
+Everything heavy (Bullet, Open3D, OMPL) is imported here at the moment it is needed.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from athlete_twin.assets import named_toml, read_toml
+from athlete_twin.errors import ConfigError
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.mock import MockAthlete
+from athlete_twin.model.spec import RobotSpec
+from athlete_twin.robot import SimulatedRobot
+from athlete_twin.world.scenario import Scenario
+from planner.decisions import GroundAgent, StageTimer, untimed
+
+FLAT_CELL = 0.1
+"""of the mock's flat ground [m]"""
+
+
+def twin(
+    spec: RobotSpec, scenario: Scenario, seed: int, *, payload_kg: float = 0.0
+) -> tuple[SimulatedRobot, HeightGrid]:
+    """The twin in its scenario, standing, and the true surface under it."""
+    from athlete_twin.athlete import Athlete
+
+    check_payload(spec, payload_kg)
+    robot = Athlete(spec, scenario, seed, payload_kg=payload_kg)
+    return robot, robot.terrain.grid
+
+
+def mock(spec: RobotSpec, scenario: Scenario) -> tuple[SimulatedRobot, HeightGrid]:
+    """The mock, standing, and flat ground of the scenario's size."""
+    nx, ny = (int(np.ceil(size / FLAT_CELL)) + 1 for size in scenario.size)
+    grid = HeightGrid(
+        origin_x=scenario.x_min, origin_y=-0.5 * scenario.size[1], cell=FLAT_CELL, heights=np.zeros((nx, ny))
+    )
+    return MockAthlete(spec), grid
+
+
+def ground_agent(
+    spec: RobotSpec,
+    variant: str,
+    *,
+    goal: tuple[float, float],
+    seed: int,
+    payload_kg: float = 0.0,
+    timer: StageTimer = untimed,
+) -> GroundAgent:
+    """The ground with a variant, by its name in the assets or by a path ending in .toml."""
+    from planner.agent import GroundAgent as PlanningAgent
+    from planner.config import planner_config
+
+    path, content = variant_content(variant)
+    try:
+        config = planner_config(content, spec, name=path.stem)
+    except ConfigError as e:
+        raise ConfigError(f"{path}: {e}") from e
+    return PlanningAgent(
+        spec, config, goal_in_world=np.array(goal, dtype=float), seed=seed, payload_kg=payload_kg, timer=timer
+    )
+
+
+def variant_content(variant: str) -> tuple[Path, dict[str, Any]]:
+    """File and content of a variant."""
+    path = named_toml("variants", variant)
+    return path, read_toml(path)
+
+
+def check_payload(spec: RobotSpec, payload_kg: float) -> None:
+    """Refuses a payload that the robot may not carry."""
+    if not (np.isfinite(payload_kg) and 0.0 <= payload_kg <= spec.payload_limit):
+        raise ConfigError(f"payload is {payload_kg} kg, {spec.name} carries 0 to {spec.payload_limit} kg")

@@ -1,0 +1,190 @@
+"""One trial: a robot walks to a goal it is told of, around rocks it knows from its own pictures, over a delayed link.
+
+    python scripts/rock_field_trial.py --robot sdm_b --scenario rock_field --delay 5 --out results/rock_field
+
+Writes `trial.json`, `trial.mcap`, `report.html` and, with `--film`, `film.webm` into the output folder. Exit status 0 when
+the trial ran to an outcome, whatever it was; 2 and one line for bad usage. Ctrl-C ends the trial with the outcome
+`operator_abort` and leaves readable files.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Annotated, Any
+
+import tyro
+
+from athlete_twin.errors import AthleteError
+
+if TYPE_CHECKING:
+    from envs.trial import Trial, TrialResult, TrialState
+    from planner.decisions import Operator
+
+TIME_LIMIT_HELP = "mission time after which the trial ends [s]; the scenario's own when not given"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Runs one trial and writes what happened."""
+
+    robot: str = "sdm_b"
+    """sdm_b or t12"""
+    scenario: str = "rock_field"
+    """name of a scenario, or a path ending in .toml"""
+    variant: str = "integrated"
+    """name of a planner variant, or a path ending in .toml"""
+    seed: int = 0
+    """of terrain, robot and noise"""
+    delay: float = 5.0
+    """one way, on each link [s]"""
+    operator: str = "approve_all"
+    """approve_all, or human: asks in the terminal"""
+    cycles: int | None = None
+    """the trial ends after so many gait cycles; the scenario's own when not given"""
+    time_limit: Annotated[float | None, tyro.conf.arg(help=TIME_LIMIT_HELP)] = None
+    payload_kg: float = 0.0
+    """on the deck [kg]"""
+    out: Path = Path("results/trial")
+    """folder for the results"""
+    film: bool = False
+    """also film the walk from outside"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the script; the exit status."""
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    try:
+        trial = prepared(options)
+        result = run(trial)
+        reports(options)
+    except AthleteError as e:
+        sys.stderr.write(f"rock_field_trial: {' '.join(str(e).split())}\n")
+        return 2
+    except KeyboardInterrupt:
+        sys.stderr.write("rock_field_trial: interrupted\n")
+        return 130
+    _show(result, options.out)
+    return 0
+
+
+def prepared(options: Options) -> Trial:
+    """The trial that the options name; everything that can be refused is refused here."""
+    from athlete_twin.link import downlink, uplink
+    from athlete_twin.model.spec import load_spec
+    from athlete_twin.world.scenario import load_scenario
+    from envs.build import ground_agent, twin
+    from envs.stage_times import StageTimes
+    from envs.trial import Trial, TrialSetup, usable_folder
+
+    timer = StageTimes()
+    spec = load_spec(options.robot)
+    scenario = load_scenario(options.scenario)
+    goal = (scenario.goal_distance, 0.0)
+    setup = TrialSetup(
+        robot=options.robot,
+        scenario=options.scenario,
+        variant=options.variant,
+        seed=options.seed,
+        operator=options.operator,
+        up=uplink(options.delay),
+        down=downlink(options.delay),
+        goal=goal,
+        cycles=scenario.cycles if options.cycles is None else options.cycles,
+        time_limit=scenario.time_limit if options.time_limit is None else options.time_limit,
+        payload_kg=options.payload_kg,
+    )
+    operator = _operator(options)
+    agent = ground_agent(
+        spec, options.variant, goal=goal, seed=options.seed, payload_kg=options.payload_kg, timer=timer
+    )
+    out = usable_folder(options.out)
+    with timer("set_up"):
+        robot, grid = twin(spec, scenario, options.seed, payload_kg=options.payload_kg)
+    return Trial(setup=setup, spec=spec, robot=robot, agent=agent, operator=operator, grid=grid, out=out, timer=timer)
+
+
+def run(trial: Trial) -> TrialResult:
+    """Runs the trial with its progress on the terminal. A second kind of Ctrl-C, SIGTERM, ends it the same way."""
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with _progress() as trial.progress:
+            return trial.run()
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        trial.robot.close()
+
+
+def reports(options: Options) -> None:
+    """Report and film, by the scripts beside this one."""
+    wanted = [("trial_report", "write_report")] + ([("trial_film", "write_film")] if options.film else [])
+    for module, function in wanted:
+        if importlib.util.find_spec(module) is not None:
+            getattr(importlib.import_module(module), function)(options.out)
+
+
+def _operator(options: Options) -> Operator:
+    from planner.decisions import scripted_operator
+
+    if options.operator != "human":
+        return scripted_operator(options.operator)
+    from terminal_operator import TerminalOperator
+
+    return TerminalOperator(robot=options.robot, out=options.out)
+
+
+def _interrupt(_signal: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def _progress() -> Iterator[Any]:
+    """Distance, steps, mission time and what is awaited, on one line that renews itself."""
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    shown = {"steps": -1}
+    with console.status("starting") as status:
+
+        def report(state: TrialState) -> None:
+            mission, scorer = state.mission, state.scorer
+            line = (
+                f"{scorer.goal_distance(state.truth):5.2f} m to go  {scorer.steps_taken:3d} steps  "
+                f"{mission.t:7.0f} s  {mission.counts.faults} faults  awaits: {_awaited(state)}"
+            )
+            status.update(line)
+            if scorer.steps_taken != shown["steps"]:
+                shown["steps"] = scorer.steps_taken
+                console.log(line)
+
+        yield report
+
+
+def _awaited(state: TrialState) -> str:
+    if state.mission.wants_answer:
+        return "the operator"
+    return "the robot moves" if state.mission.robot.busy else state.mission.waiting_for or "the link"
+
+
+def _show(result: TrialResult, out: Path) -> None:
+    from rich.console import Console
+
+    Console().print(
+        f"[bold]{result.outcome}[/bold]: {result.reason}\n"
+        f"progress {result.progress_m:.2f} m, {result.goal_distance_m:.2f} m from the goal, {result.steps_taken} steps, "
+        f"{result.collisions} collisions, {result.faults} faults\n"
+        f"mission {result.mission_time_s:.0f} s = motion {result.motion_s:.0f} + link {result.link_s:.0f} + operator "
+        f"{result.operator_s:.0f} + ground {result.ground_s:.0f}; {result.wall_time_s:.0f} s of wall time\n"
+        f"written to {out}"
+    )
+
+
+if __name__ == "__main__":
+    sys.exit(main())
