@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from types import TracebackType
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 
@@ -34,7 +34,7 @@ class BulletWorld:
         self.ground = ground
         self.ground_body = self._load_ground(ground)
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> BulletWorld:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:

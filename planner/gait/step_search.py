@@ -175,14 +175,14 @@ def search_step(
     start = _lifted(kin, belief, leg, sag, airborne=airborne)
     if start is None:
         return NoStep(reason=f"leg {leg + 1} cannot lift high enough", refused={"lift_reach": 1})
-    lift_in_hex, q_lift = start
+    lift_in_hex, q_break, q_lift = start
     collision = LegCollision(
         kin.spec, _raised(ground.filled, sag.terrain_raise), swing_pose, belief.joints, leg, config.collision
     )
     for place in places[order[: config.search.tried]]:
         plan = _try(
             kin, springs, belief, ground, request, place,
-            sag=sag, swing_pose=swing_pose, lift_in_hex=lift_in_hex, q_lift=q_lift, airborne=airborne,
+            sag=sag, swing_pose=swing_pose, lift_in_hex=lift_in_hex, q_break=q_break, q_lift=q_lift, airborne=airborne,
             collision=collision, torque=torque, config=config, payload_kg=payload_kg, rng=rng, refused=refused,
         )  # fmt: skip
         if plan is not None:
@@ -283,17 +283,21 @@ def _cost(
 
 def _lifted(
     kin: Kinematics, belief: Belief, leg: int, sag: SagPrediction, *, airborne: bool
-) -> tuple[Vec3 | None, np.ndarray] | None:
-    """Axle and motor angles after lift-off."""
+) -> tuple[Vec3 | None, np.ndarray, np.ndarray] | None:
+    """Axle after lift-off, motor angles where the wheel leaves the ground, and motor angles after lift-off.
+
+    Until contact breaks the wheel stays where it is while the chassis sinks, so only the way above is checked.
+    """
     if airborne:
-        return None, belief.motors[leg]
+        return None, belief.motors[leg], belief.motors[leg]
     pose = kin.leg_wheel(leg, belief.motors[leg])
     up = -belief.gravity_in_hex() / GRAVITY
     target = pose.translation + sag.commanded_lift * up
-    steps = pose.translation + np.linspace(0.25, 1.0, 4)[:, None] * (target - pose.translation)
+    heights = np.array([0.5 * sag.lift_to_break, sag.lift_to_break, sag.commanded_lift])
+    steps = pose.translation + heights[:, None] * up
     hip = float(belief.motors[leg, 1]) if kin.spec.stance_hip_pitch is not None else None
     q, ok = leg_ik(kin.spec, leg, steps, last_link_in_hex=pose.rotation[:, 0], hip_pitch=hip)
-    return (target, q[-1]) if ok.all() else None
+    return (target, q[1], q[2]) if ok.all() else None
 
 
 def _try(
@@ -307,6 +311,7 @@ def _try(
     sag: SagPrediction,
     swing_pose: SE3,
     lift_in_hex: Vec3 | None,
+    q_break: np.ndarray,
     q_lift: np.ndarray,
     airborne: bool,
     collision: LegCollision,
@@ -327,7 +332,7 @@ def _try(
         refused["descent_reach"] += 1
         return None
     path = plan_swing(
-        collision, spec, belief.motors[leg], q[1],
+        collision, spec, q_break, q[1],
         lift_waypoint_q=q_lift, touchdown_waypoint_q=q[0], planner=config.leg_planner, rng=rng, config=config.swing,
     )  # fmt: skip
     if not isinstance(path, SwingPath):
