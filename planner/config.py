@@ -42,6 +42,7 @@ from planner.motion.sbl import SblConfig
 from planner.motion.smoothing import SmoothingConfig
 from planner.motion.swing import SwingConfig
 from planner.perception.localise import AlignConfig, WheelFitConfig
+from planner.perception.self_clearance import SelfClearanceConfig
 from planner.perception.self_mask import SelfMaskConfig
 from planner.perception.stereo import StereoConfig
 from planner.sag.compensate import SagConfig
@@ -66,6 +67,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
 SETTINGS: dict[str, type] = {
     "stereo": StereoConfig,
     "self_mask": SelfMaskConfig,
+    "self_clearance": SelfClearanceConfig,
     "fusion": FusionConfig,
     "localisation": AlignConfig,
     "wheel_fit": WheelFitConfig,
@@ -92,6 +94,7 @@ class PlannerConfig:
     unknown_terrain: str
     stereo: StereoConfig
     self_mask: SelfMaskConfig
+    self_clearance: SelfClearanceConfig
     fusion: FusionConfig
     align: AlignConfig
     wheel_fit: WheelFitConfig
@@ -138,6 +141,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         unknown_terrain=chosen["unknown_terrain"],
         stereo=made["stereo"],
         self_mask=made["self_mask"],
+        self_clearance=made["self_clearance"],
         fusion=made["fusion"],
         align=made["localisation"],
         wheel_fit=made["wheel_fit"],

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from athlete_twin.model.kinematics import Kinematics
 from planner.belief import Belief
 from planner.config import PlannerConfig
 from planner.perception.localise import Alignment, align_to_map
+from planner.perception.self_clearance import without_hanging_points
 from planner.perception.self_mask import MaskedDepth, remove_self
 from planner.perception.stereo import match
 from planner.terrain.fusion import FusedTerrain, TerrainMap, points_in_world
@@ -95,15 +96,16 @@ class Eyes:
         if not self._parts and self._config.self_mask.method in ("kinematic", "combined"):
             self._parts = visual_parts(self._kin.spec)
         hex_from_world = belief.world_from_hex.inverse()
+        up, ground = hex_from_world.rotate(UP), hex_from_world.apply(belief.contacts_in_world[belief.planted])
+        links = self._kin.link_poses(pair.state.joints)
         with self._timer("self_mask"):
-            return remove_self(
-                depth,
-                config=self._config.self_mask,
-                parts=self._parts,
-                hex_from_link=self._kin.link_poses(pair.state.joints),
-                up_in_hex=hex_from_world.rotate(UP),
-                ground_in_hex=hex_from_world.apply(belief.contacts_in_world[belief.planted]),
+            masked = remove_self(
+                depth, config=self._config.self_mask, parts=self._parts, hex_from_link=links, up_in_hex=up, ground_in_hex=ground
             )
+            clear = without_hanging_points(
+                masked.depth, self._kin.spec, links, up_in_hex=up, ground_in_hex=ground, config=self._config.self_clearance
+            )
+        return replace(masked, depth=clear)
 
     def _align(self, masked: list[MaskedDepth], poses: list[SE3], before: FusedTerrain) -> Alignment | None:
         if before.unknown.all():
