@@ -108,6 +108,11 @@ class Mission:
         if self.recorder:
             self.recorder.link(message, raw, self.t)
 
+    def stop(self, reason: str) -> None:
+        """Send a stop; the ground does nothing any more."""
+        self.stopped = True
+        self.send(Stop(seq=self.counts.e_stops, robot_id=self.robot.robot_id, t=self.t, reason=reason))
+
     def answer(self, decision: Decision, *, seconds: float = 0.0) -> None:
         """The operator's answer to the standing proposal, which took so many seconds of mission time."""
         if self.standing is None:
@@ -223,8 +228,7 @@ class Mission:
         self.standing = self._answer = None
         self._ask_at = self.t
         if decision.kind == "stop":
-            self.stopped = True
-            self.send(Stop(seq=self.counts.e_stops, robot_id=self.robot.robot_id, t=self.t, reason="operator"))
+            self.stop("operator")
         if sequence is not None:
             self.approved[sequence.sequence_id] = proposal
             self.send(sequence)

@@ -162,7 +162,7 @@ def _progress() -> Iterator[Any]:
             status.update(line)
             if scorer.steps_taken != shown["steps"]:
                 shown["steps"] = scorer.steps_taken
-                console.log(line)
+                console.print(line, soft_wrap=True, highlight=False)
 
         yield report
 

@@ -1,0 +1,264 @@
+"""The uplink environments: an action is what goes up, an observation is what has come down by now, with its age.
+
+A step ends at the next downlink or after `step_s` of mission time, whichever comes first. Reward and end come from the
+truth; the observation never does.
+"""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, Literal
+
+import gymnasium as gym
+import numpy as np
+
+from athlete_twin.errors import ConfigError
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
+from athlete_twin.messages import CommandSequence, Stop
+from athlete_twin.model.spec import RobotSpec, load_spec
+from athlete_twin.robot import SimulatedRobot
+from athlete_twin.world.scenario import Scenario, load_scenario
+from envs.build import mock, twin
+from envs.mission import Mission
+from envs.rewards import RewardConfig, StepTruth, reward
+from envs.scoring import ARRIVED, LOADED, TIPPED, tilt
+from envs.spaces import (
+    KINDS,
+    Action,
+    DownlinkView,
+    Observation,
+    chosen_cameras,
+    command_of,
+    downlink_space,
+    uplink_action_space,
+)
+from envs.top_view import top_view
+from planner.decisions import GroundAgent
+
+DEFAULT_DELAY = 5.0
+"""one way, when no link is given [s]"""
+Body = Literal["twin", "mock"]
+
+
+def link_pair(link: float | tuple[LinkConfig, LinkConfig] | None) -> tuple[LinkConfig, LinkConfig]:
+    """Up and down: both given, or the defaults with a delay [s]."""
+    if isinstance(link, tuple):
+        return link
+    delay = DEFAULT_DELAY if link is None else float(link)
+    return uplink(delay), downlink(delay)
+
+
+class MissionEnv(gym.Env[Observation, Action]):
+    """What both kinds of environment share: building, the clock, reward, end and the picture from above."""
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
+
+    def __init__(
+        self,
+        robot: str,
+        body: Body,
+        *,
+        scenario: str | Scenario,
+        link: float | tuple[LinkConfig, LinkConfig] | None,
+        cameras: tuple[str, ...] | list[str] | None,
+        step_s: float,
+        time_limit: float | None,
+        render_mode: str | None,
+        rewards: RewardConfig,
+    ) -> None:
+        if not (np.isfinite(step_s) and step_s > 0.0):
+            raise ConfigError(f"step_s is {step_s} s, must be positive")
+        if time_limit is not None and not time_limit > 0.0:
+            raise ConfigError(f"time_limit is {time_limit} s, must be positive")
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ConfigError(
+                f"render_mode {render_mode!r} is not one of: {', '.join(self.metadata['render_modes'])}, None"
+            )
+        self.drawings: RobotSpec = load_spec(robot)
+        self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        self.link = link_pair(link)
+        self.cameras = chosen_cameras(self.drawings, cameras)
+        self.step_s = step_s
+        self.time_limit = self.scenario.time_limit if time_limit is None else time_limit
+        self.render_mode = render_mode
+        self.goal = (self.scenario.goal_distance, 0.0)
+        self._body: Body = body
+        self._rewards = rewards
+        self._robot: SimulatedRobot | None = None
+        self._mission: Mission | None = None
+        self._grid: HeightGrid | None = None
+        self._tipped = False
+        self._distance = 0.0
+        self._collisions = 0
+
+    @property
+    def mission(self) -> Mission:
+        """Robot, links and clock since the last reset, for those who want more than arrays."""
+        if self._mission is None:
+            raise ConfigError("the environment was not reset; call reset() first")
+        return self._mission
+
+    def render(self) -> np.ndarray | None:  # type: ignore[override]
+        """The true scene from above, shape (h, w, 3), or None without a render mode."""
+        if self.render_mode is None or self._robot is None or self._grid is None:
+            return None
+        return top_view(self._robot, self._grid, self.goal)
+
+    def close(self) -> None:
+        """Free the simulation."""
+        if self._robot is not None:
+            self._robot.close()
+            self._robot = None
+
+    def _rebuild(self, seed: int | None) -> int:
+        """A fresh robot on fresh ground; the trial's seed.
+
+        Everything is built anew: Bullet repeats itself bit by bit only then.
+        """
+        super().reset(seed=seed)
+        trial_seed = int(self.np_random.integers(2**31)) if seed is None else seed
+        self.close()
+        if self._body == "mock":
+            self._robot, self._grid = mock(self.drawings, self.scenario)
+        else:
+            self._robot, self._grid = twin(self.drawings, self.scenario, trial_seed)
+        up, down = self.link
+        self._mission = Mission(
+            self._robot,
+            up=DelayedLink(up, np.random.default_rng([trial_seed, 1])),
+            down=DelayedLink(down, np.random.default_rng([trial_seed, 2])),
+            agent=self._agent(trial_seed),
+            on_truth=lambda truth: self._watch(tilt(truth.world_from_hex)),
+        )
+        self._tipped, self._collisions = False, 0
+        self._distance = self._goal_distance()
+        return trial_seed
+
+    def _agent(self, seed: int) -> GroundAgent | None:
+        """The ground inside, if any."""
+        del seed
+        return None
+
+    def _declared(self) -> bool:
+        """Whether arrival was declared; without a ground inside, standing there is enough."""
+        return True
+
+    def _watch(self, angle: float) -> None:
+        self._tipped |= angle > TIPPED
+
+    def _goal_distance(self) -> float:
+        at = self.mission.robot.truth().world_from_hex.translation[:2]
+        return float(np.linalg.norm(at - np.array(self.goal)))
+
+    def _judged(self, begun: float) -> tuple[float, bool, bool, dict[str, Any]]:
+        """Reward, terminated, truncated and info of a step that began at mission time `begun` [s]."""
+        mission = self.mission
+        truth = mission.robot.truth()
+        distance, collisions = self._goal_distance(), len(mission.robot.collisions)
+        self._watch(tilt(truth.world_from_hex))
+        stands = not mission.robot.busy and bool((truth.wheel_loads > LOADED).all())
+        at_goal = distance <= ARRIVED and stands and self._declared()
+        step = StepTruth(
+            nearer=self._distance - distance,
+            collisions=collisions - self._collisions,
+            seconds=mission.t - begun,
+            tipped=self._tipped,
+            at_goal=at_goal,
+        )
+        self._distance, self._collisions = distance, collisions
+        info = self._info() | {"tip_over": self._tipped, "at_goal": at_goal, "collisions": collisions}
+        return reward(step, self._rewards), self._tipped or at_goal, mission.t >= self.time_limit, info
+
+    def _info(self) -> dict[str, Any]:
+        return {
+            "mission_time_s": self.mission.t,
+            "goal_distance_m": self._distance,
+            "uplinks": self.mission.counts.uplinks,
+        }
+
+
+class UplinkEnv(MissionEnv):
+    """One robot at the end of a delayed link."""
+
+    def __init__(
+        self,
+        robot: str,
+        *,
+        body: Body = "twin",
+        scenario: str | Scenario = "rock_field",
+        link: float | tuple[LinkConfig, LinkConfig] | None = None,
+        cameras: tuple[str, ...] | list[str] | None = None,
+        step_s: float = 1.0,
+        time_limit: float | None = None,
+        render_mode: str | None = None,
+        rewards: RewardConfig | None = None,
+    ) -> None:
+        """Build the spaces; the robot is built by `reset`.
+
+        Args:
+            robot: name of the drawings.
+            body: "twin", or "mock" for no physics on flat ground.
+            scenario: name, path ending in .toml, or a scenario itself.
+            link: one-way delay [s] on default links, or the up and down configuration; 5 s by default.
+            cameras: shown in observations and usable in actions; all by default.
+            step_s: longest step, mission time [s].
+            time_limit: mission time after which an episode is truncated [s]; the scenario's by default.
+            render_mode: "rgb_array" for a view from above.
+            rewards: weights.
+        """
+        super().__init__(
+            robot,
+            body,
+            scenario=scenario,
+            link=link,
+            cameras=cameras,
+            step_s=step_s,
+            time_limit=time_limit,
+            render_mode=render_mode,
+            rewards=rewards or RewardConfig(),
+        )
+        self.action_space = uplink_action_space(self.drawings, self.cameras)
+        self.observation_space = downlink_space(self.drawings, self.cameras)
+        self._view = DownlinkView(self.drawings, self.cameras, self.goal)
+        self._sequences = 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """A fresh robot; nothing has come down yet."""
+        del options
+        self._rebuild(seed)
+        self._view = DownlinkView(self.drawings, self.cameras, self.goal)
+        self._sequences = 0
+        return self._view.observation(self.mission.t), self._info()
+
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Send what the action says, and wait."""
+        if KINDS[int(action["kind"])] == "stop":
+            return self.step_message(Stop(seq=self._next(), robot_id=self.drawings.name, t=self.mission.t, reason="action"))
+        command = command_of(action, self.drawings, self.cameras)
+        if command is None:
+            return self.step_message(None)
+        number = self._next()
+        return self.step_message(
+            CommandSequence(
+                seq=number, robot_id=self.drawings.name, t=self.mission.t, sequence_id=number, commands=(command,)
+            )
+        )
+
+    def step_message(
+        self, message: CommandSequence | Stop | None
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """The same as `step` with a message object: whole sequences, guards and limits as the sender wants them."""
+        begun = self.mission.t
+        if message is not None:
+            self.mission.send(message)
+        arrived = self.mission.advance(begun + self.step_s, stop_at_downlink=True)
+        for down in arrived:
+            self._view.take(down)
+        value, terminated, truncated, info = self._judged(begun)
+        return self._view.observation(self.mission.t), value, terminated, truncated, info | {"messages": arrived}
+
+    def _next(self) -> int:
+        self._sequences += 1
+        return self._sequences - 1

@@ -1,0 +1,259 @@
+"""The operator environments: the planner runs inside, the observation is its proposal, the action the operator's decision.
+
+A step ends when a new proposal stands or after `step_s` of mission time, whichever comes first. While no proposal stands,
+only a stop has an effect.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+
+from athlete_twin.link import LinkConfig
+from athlete_twin.model.spec import LEGS, RobotSpec
+from athlete_twin.world.scenario import Scenario
+from envs.build import ground_agent, variant_content
+from envs.env import Body, MissionEnv
+from envs.rewards import RewardConfig
+from envs.spaces import Action, Observation
+from planner.decisions import DECISIONS, Decision, DecisionKind, GroundAgent, Proposal
+
+PREVIEW_POSES = 16
+"""of the previewed motion, evenly spaced"""
+MAP_CELL = 0.1
+"""of the map shown [m]"""
+MAP_CELLS = 80
+"""along each axis of the map shown, centred on the believed chassis: 4 m to each side"""
+MAX_WAIT = 60.0
+"""an operator waits so long at most in one decision [s]"""
+KINDS = ("none", "step", "shift")
+
+AgentMaker = Callable[[RobotSpec, tuple[float, float], int], GroundAgent]
+
+
+class OperatorEnv(MissionEnv):
+    """One robot, its ground, and a vacant operator's chair."""
+
+    def __init__(
+        self,
+        robot: str,
+        *,
+        body: Body = "twin",
+        scenario: str | Scenario = "rock_field",
+        variant: str = "integrated",
+        link: float | tuple[LinkConfig, LinkConfig] | None = None,
+        cameras: tuple[str, ...] | list[str] | None = None,
+        step_s: float = 1.0,
+        time_limit: float | None = None,
+        render_mode: str | None = None,
+        rewards: RewardConfig | None = None,
+        make_agent: AgentMaker | None = None,
+    ) -> None:
+        """Build the spaces; robot and ground are built by `reset`.
+
+        Args:
+            robot: name of the drawings.
+            body: "twin", or "mock" for no physics on flat ground.
+            scenario: name, path ending in .toml, or a scenario itself.
+            variant: of the planner, name or path ending in .toml.
+            link: one-way delay [s] on default links, or the up and down configuration; 5 s by default.
+            cameras: that the operator may choose; all by default.
+            step_s: longest step, mission time [s].
+            time_limit: mission time after which an episode is truncated [s]; the scenario's by default.
+            render_mode: "rgb_array" for a view from above.
+            rewards: weights.
+            make_agent: makes another ground than this project's, from drawings, goal and seed.
+        """
+        super().__init__(
+            robot,
+            body,
+            scenario=scenario,
+            link=link,
+            cameras=cameras,
+            step_s=step_s,
+            time_limit=time_limit,
+            render_mode=render_mode,
+            rewards=rewards or RewardConfig(),
+        )
+        if make_agent is None:
+            variant_content(variant)
+        self._variant = variant
+        self._make_agent = make_agent
+        self.action_space = decision_space(len(self.cameras))
+        self.observation_space = proposal_space(self.drawings)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """A fresh robot and a ground that knows nothing yet."""
+        del options
+        self._rebuild(seed)
+        return self._observation(), self._info()
+
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Answer the standing proposal as the action says, and wait for the next."""
+        standing = self.mission.standing
+        if standing is None:
+            return self.step_decision(Decision(kind="stop") if DECISIONS[int(action["kind"])] == "stop" else None)
+        return self.step_decision(decision_of(action, standing, self.cameras, idle=self.step_s))
+
+    def step_decision(self, decision: Decision | None) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """The same as `step` with a decision object; None while no proposal stands."""
+        mission, begun = self.mission, self.mission.t
+        if mission.wants_answer:
+            mission.answer(decision or Decision(kind="wait", duration=self.step_s))
+        elif decision is not None and decision.kind == "stop":
+            mission.stop("operator")
+        mission.advance(begun + self.step_s)
+        value, terminated, truncated, info = self._judged(begun)
+        ended = mission.finished or mission.stopped
+        return self._observation(), value, terminated or ended, truncated, info
+
+    @property
+    def proposal(self) -> Proposal | None:
+        """What the operator is asked, whole; None while nothing is."""
+        return self.mission.standing if self.mission.wants_answer else None
+
+    def _agent(self, seed: int) -> GroundAgent:
+        if self._make_agent is not None:
+            return self._make_agent(self.drawings, self.goal, seed)
+        return ground_agent(self.drawings, self._variant, goal=self.goal, seed=seed)
+
+    def _declared(self) -> bool:
+        return self.mission.arrived is not None
+
+    def _info(self) -> dict[str, Any]:
+        mission, proposal = self.mission, self.proposal
+        said = mission.arrived.text if mission.arrived else mission.no_step.reason if mission.no_step else ""
+        return super()._info() | {
+            "text": proposal.text if proposal else said,
+            "waiting_for": mission.waiting_for,
+            "arrived": mission.arrived is not None,
+            "no_step": mission.no_step is not None,
+        }
+
+    def _observation(self) -> Observation:
+        return observed(self.proposal, self.drawings, self.mission.t, self.goal)
+
+
+def decision_space(cameras: int) -> gym.spaces.Dict:
+    """The operator's decisions. Keys that a kind does not use are ignored."""
+    return gym.spaces.Dict(
+        {
+            "kind": gym.spaces.Discrete(len(DECISIONS)),
+            "footfall": gym.spaces.Box(-1.0, 1.0, (2,), np.float32),
+            "leg": gym.spaces.Discrete(LEGS),
+            "cameras": gym.spaces.MultiBinary(cameras),
+            "wait": gym.spaces.Box(-1.0, 1.0, (1,), np.float32),
+        }
+    )
+
+
+def decision_of(action: Action, proposal: Proposal, cameras: tuple[str, ...], *, idle: float) -> Decision:
+    """The decision an action means.
+
+    Args:
+        action: out of `decision_space`.
+        proposal: it answers.
+        cameras: what the action's camera flags stand for.
+        idle: a choice of no camera is a wait of so long [s].
+    """
+    kind = cast(DecisionKind, DECISIONS[int(action["kind"])])
+    if kind == "edit_footfall":
+        unit = np.clip(np.asarray(action["footfall"], dtype=float), -1.0, 1.0)
+        xy = proposal.world_from_hex.translation[:2] + 0.5 * MAP_CELLS * MAP_CELL * unit
+        height = float(proposal.terrain.sample(xy))
+        z = height if np.isfinite(height) else float(proposal.footfall_in_world[2])
+        return Decision(kind=kind, footfall_in_world=np.append(xy, z))
+    if kind == "choose_leg":
+        return Decision(kind=kind, leg=int(action["leg"]))
+    if kind == "choose_cameras":
+        named = tuple(c for c, wanted in zip(cameras, np.asarray(action["cameras"]), strict=True) if wanted)
+        return Decision(kind=kind, cameras=named) if named else Decision(kind="wait", duration=idle)
+    if kind == "wait":
+        share = 0.5 * (float(np.clip(np.asarray(action["wait"])[0], -1.0, 1.0)) + 1.0)
+        return Decision(kind=kind, duration=max(share * MAX_WAIT, 0.1))
+    return Decision(kind=kind)
+
+
+def proposal_space(spec: RobotSpec) -> gym.spaces.Dict:
+    """The proposal, its preview and the green-and-red map; all zero while no proposal stands."""
+    k, n = PREVIEW_POSES, MAP_CELLS
+
+    def free(*shape: int) -> gym.spaces.Box:
+        return gym.spaces.Box(-np.inf, np.inf, shape, np.float32)
+
+    return gym.spaces.Dict(
+        {
+            "t": gym.spaces.Box(0.0, np.inf, (1,), np.float32),
+            "goal_in_world": free(2),
+            "present": gym.spaces.Discrete(2),
+            "kind": gym.spaces.Discrete(len(KINDS)),
+            "leg": gym.spaces.Discrete(LEGS + 1),
+            "footfall_in_world": free(3),
+            "predicted_margin": free(1),
+            "predicted_sag": free(1),
+            "world_from_hex": free(6),
+            "preview_joints": free(k, LEGS, spec.dof),
+            "preview_world_from_hex": free(k, 6),
+            "map_height": free(n, n),
+            "map_known": gym.spaces.Box(0, 1, (n, n), np.uint8),
+            "map_green": gym.spaces.Box(0, 1, (n, n), np.uint8),
+        }
+    )
+
+
+def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[float, float]) -> Observation:
+    """The observation of a proposal, or of none.
+
+    `leg` is 0 for none and 1 to 6 as the papers number them; transforms are translation and rotation vector; what is not
+    known is 0.
+    """
+    k, n = PREVIEW_POSES, MAP_CELLS
+    out: Observation = {
+        "t": np.array([t], dtype=np.float32),
+        "goal_in_world": np.array(goal, dtype=np.float32),
+        "present": np.int64(proposal is not None),
+        "kind": np.int64(0),
+        "leg": np.int64(0),
+        "footfall_in_world": np.zeros(3, dtype=np.float32),
+        "predicted_margin": np.zeros(1, dtype=np.float32),
+        "predicted_sag": np.zeros(1, dtype=np.float32),
+        "world_from_hex": np.zeros(6, dtype=np.float32),
+        "preview_joints": np.zeros((k, LEGS, spec.dof), dtype=np.float32),
+        "preview_world_from_hex": np.zeros((k, 6), dtype=np.float32),
+        "map_height": np.zeros((n, n), dtype=np.float32),
+        "map_known": np.zeros((n, n), dtype=np.uint8),
+        "map_green": np.zeros((n, n), dtype=np.uint8),
+    }
+    if proposal is None:
+        return out
+    rows = np.rint(np.linspace(0, len(proposal.preview_joints) - 1, k)).astype(int)
+    poses = [proposal.preview_world_from_hex[i] for i in rows]
+    here = proposal.world_from_hex
+    offsets = (np.arange(n) - 0.5 * (n - 1)) * MAP_CELL
+    xy = np.stack(np.meshgrid(here.translation[0] + offsets, here.translation[1] + offsets, indexing="ij"), axis=-1)
+    ix, iy, inside = proposal.terrain.index(xy)
+    heights = proposal.terrain.heights[ix, iy]
+    known = inside & np.isfinite(heights)
+    out |= {
+        "kind": np.int64(KINDS.index(proposal.kind)),
+        "leg": np.int64(proposal.leg + 1),
+        "footfall_in_world": proposal.footfall_in_world.astype(np.float32),
+        "predicted_margin": np.nan_to_num(np.array([proposal.predicted_margin], dtype=np.float32)),
+        "predicted_sag": np.nan_to_num(np.array([proposal.predicted_sag], dtype=np.float32)),
+        "world_from_hex": _six(here),
+        "preview_joints": proposal.preview_joints[rows].astype(np.float32),
+        "preview_world_from_hex": np.array([_six(p) for p in poses]),
+        "map_height": np.where(known, heights, 0.0).astype(np.float32),
+        "map_known": known.astype(np.uint8),
+        "map_green": (known & proposal.footfall_ok[ix, iy]).astype(np.uint8),
+    }
+    return out
+
+
+def _six(outer_from_inner: Any) -> np.ndarray:
+    return np.concatenate([outer_from_inner.translation, outer_from_inner.rotvec()]).astype(np.float32)

@@ -1,0 +1,219 @@
+import subprocess
+import sys
+import warnings
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import envs  # noqa: F401
+from athlete_twin.errors import ConfigError
+from athlete_twin.messages import CommandSequence, ImageRequest, StereoPair, Wait
+from envs.operator_env import OperatorEnv
+from envs.spaces import KINDS, NEVER
+from planner.decisions import DECISIONS, Decision
+
+IDS = [f"AthleteTwin/{robot}{kind}-v0" for robot in ("SdmB", "T12") for kind in ("-Mock", "", "-Operator")]
+
+
+def checked(name, **kwargs):
+    env = gym.make(name, disable_env_checker=True, **kwargs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env.unwrapped, skip_render_check=True)
+    env.close()
+
+
+@pytest.mark.parametrize("name", [i for i in IDS if "Mock" in i])
+def test_mock_keeps_gymnasiums_contract(name):
+    checked(name)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [i for i in IDS if "Mock" not in i])
+def test_twin_keeps_gymnasiums_contract(name):
+    checked(name, scenario="calibration_yard")
+
+
+def test_all_ids_are_registered():
+    assert set(IDS) <= set(gym.registry)
+
+
+def test_importing_envs_is_cheap():
+    code = (
+        "import sys, envs; heavy = {'pybullet', 'open3d', 'ompl', 'cv2', 'pinocchio', 'numba', 'scipy'} & set(sys.modules); "
+        "assert not heavy, heavy"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.fixture
+def mock_env():
+    env = gym.make("envs:AthleteTwin/SdmB-Mock-v0", link=2.0, cameras=("navcam_1", "hazcam_1"), time_limit=60.0)
+    yield env
+    env.close()
+
+
+def nothing(env):
+    action = env.action_space.sample()
+    action["kind"] = np.int64(KINDS.index("nothing"))
+    return action
+
+
+def test_a_step_ends_at_the_next_downlink_or_after_a_second(mock_env):
+    _, info = mock_env.reset(seed=1)
+    before = info["mission_time_s"]
+    for _ in range(6):
+        observation, _, _, _, info = mock_env.step(nothing(mock_env))
+        assert info["mission_time_s"] - before == pytest.approx(1.0) or info["messages"]
+        before = info["mission_time_s"]
+    assert observation["telemetry_age"][0] > 2.0
+
+
+def test_pictures_come_down_after_two_delays_and_carry_their_age(mock_env):
+    observation, _ = mock_env.reset(seed=1)
+    assert observation["image_present"].sum() == 0 and observation["image_age"][0] == NEVER
+    action = nothing(mock_env)
+    action |= {"kind": np.int64(KINDS.index("images")), "cameras": np.array([1, 0], dtype=np.int8)}
+    observation, *_ = mock_env.step(action)
+    t_first = None
+    for _ in range(12):
+        observation, _, _, _, info = mock_env.step(nothing(mock_env))
+        if observation["image_present"][0] and t_first is None:
+            t_first = info["mission_time_s"]
+    assert t_first is not None and t_first > 4.0
+    assert observation["image_age"][0] > 2.0 and observation["image_present"][1] == 0
+    assert observation["left"][0].std() > 5.0 and observation["left"][1].max() == 0
+
+
+def test_message_objects_go_up_whole(mock_env):
+    mock_env.reset(seed=1)
+    sequence = CommandSequence(
+        seq=0,
+        robot_id="sdm_b",
+        t=0.0,
+        sequence_id=7,
+        commands=(Wait(duration=1.0), ImageRequest(cameras=("hazcam_1",), binning=2)),
+    )
+    arrived = mock_env.unwrapped.step_message(sequence)[-1]["messages"]
+    for _ in range(12):
+        arrived = arrived + mock_env.step(nothing(mock_env))[-1]["messages"]
+    pair = next(m for m in arrived if isinstance(m, StereoPair))
+    assert pair.left.shape == (384, 512) and pair.state.sequence_id == 7
+
+
+def test_a_stop_reaches_the_robot(mock_env):
+    mock_env.reset(seed=1)
+    action = nothing(mock_env)
+    action["kind"] = np.int64(KINDS.index("stop"))
+    mock_env.step(action)
+    for _ in range(3):
+        mock_env.step(nothing(mock_env))
+    assert mock_env.unwrapped.mission.robot.executive.state == "stopped"
+
+
+def test_episode_is_truncated_at_the_time_limit(mock_env):
+    mock_env.reset(seed=1)
+    ends = [mock_env.step(nothing(mock_env))[3] for _ in range(70)]
+    assert ends.index(True) >= 59
+
+
+def test_same_seed_and_actions_give_the_same_observations():
+    seen = []
+    for _ in range(2):
+        env = gym.make("AthleteTwin/SdmB-Mock-v0", link=0.5, cameras=("navcam_1",))
+        env.reset(seed=4)
+        env.action_space.seed(4)
+        seen.append([env.step(env.action_space.sample())[0] for _ in range(15)])
+        env.close()
+    for a, b in zip(*seen, strict=True):
+        assert all(np.array_equal(a[k], b[k]) for k in a)
+
+
+def test_view_from_above_shows_the_robot():
+    env = gym.make("AthleteTwin/SdmB-Mock-v0", render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.ndim == 3 and picture.shape[2] == 3 and picture.std() > 5.0
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "said"),
+    [
+        ({"scenario": "moon"}, "'moon' is not known"),
+        ({"cameras": ("eye",)}, "'eye' is not on"),
+        ({"cameras": ()}, "cameras is empty"),
+        ({"step_s": 0.0}, "step_s is 0.0"),
+        ({"time_limit": -1.0}, "time_limit is -1.0"),
+        ({"render_mode": "ansi"}, "'ansi' is not one of"),
+    ],
+)
+def test_wrong_arguments_are_refused(kwargs, said):
+    with pytest.raises(ConfigError, match=said):
+        gym.make("AthleteTwin/SdmB-Mock-v0", **kwargs)
+
+
+def operator_env(scripted, **kwargs):
+    return OperatorEnv("sdm_b", body="mock", link=1.0, make_agent=lambda *_: scripted(), **kwargs)
+
+
+def decide(env, kind, **more):
+    action = env.action_space.sample() | {"kind": np.int64(DECISIONS.index(kind))} | more
+    return env.step(action)
+
+
+def to_proposal(env):
+    for _ in range(60):
+        observation, *_ = env.step_decision(None) if env.proposal is None else (None,)
+        if env.proposal is not None:
+            return observation
+    raise AssertionError("no proposal")
+
+
+def test_operator_env_shows_proposals_and_ends_with_arrival(scripted):
+    env = operator_env(scripted, step_s=100.0)
+    observation, _ = env.reset(seed=0)
+    assert observation["present"] == 0
+    observation = to_proposal(env)
+    assert observation["present"] == 1 and observation["leg"] == 1
+    assert observation["map_green"].sum() > 1000 and env.observation_space.contains(observation)
+    observation, _, terminated, _, info = decide(env, "approve")
+    assert terminated and info["arrived"] and not info["at_goal"]
+    env.close()
+
+
+def test_operator_env_keeps_gymnasiums_contract_with_a_mock(scripted):
+    env = operator_env(scripted)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        check_env(env, skip_render_check=True)
+
+
+def test_every_decision_reaches_the_ground(scripted):
+    env = operator_env(scripted, step_s=100.0)
+    env.reset(seed=0)
+    to_proposal(env)
+    for kind in ("reject", "edit_footfall", "choose_leg", "choose_cameras", "wait"):
+        decide(env, kind, cameras=np.ones(len(env.cameras), dtype=np.int8))
+        assert env.mission.agent.decided[-1] == kind
+    _, _, terminated, _, _ = decide(env, "stop")
+    assert terminated and env.mission.counts.e_stops == 1
+
+
+def test_standing_proposal_without_an_answer_lets_time_pass(scripted):
+    env = operator_env(scripted)
+    env.reset(seed=0)
+    to_proposal(env)
+    before = env.mission.t
+    env.step_decision(None)
+    assert env.mission.t == pytest.approx(before + 1.0)
+    assert env.mission.agent.decided == ["wait"]
+
+
+def test_a_stop_before_any_proposal_ends_the_episode(scripted):
+    env = operator_env(scripted)
+    env.reset(seed=0)
+    assert env.step_decision(Decision(kind="stop"))[2]
