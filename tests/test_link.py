@@ -1,0 +1,156 @@
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from athlete_twin.errors import LinkError
+from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
+from athlete_twin.messages import Receipt, StereoPair, Stop, Telemetry, encode
+
+SETTINGS = settings(max_examples=60, deadline=None)
+
+
+def receipt(k, text=""):
+    return Receipt(seq=k, robot_id="sdm_b", t=0.0, sequence_id=k, command_index=-1, status="queued", text=text)
+
+
+def a_link(seed=0, **config):
+    return DelayedLink(LinkConfig(**({"delay": 5.0, "bandwidth": 1e4} | config)), np.random.default_rng(seed))
+
+
+sends = st.lists(st.tuples(st.floats(0.0, 20.0), st.integers(0, 2000)), min_size=1, max_size=12)
+
+
+def sent(link, gaps):
+    """Sends messages of various sizes after the given gaps; times and sizes."""
+    t, out = 0.0, []
+    for k, (gap, size) in enumerate(gaps):
+        t += gap
+        out.append((t, len(link.send(receipt(k, "x" * size), t))))
+    return out
+
+
+def arrivals(link):
+    """When each message arrives and which one it is."""
+    out = []
+    while math.isfinite(link.next_arrival()):
+        t = link.next_arrival()
+        assert link.receive(np.nextafter(t, -math.inf)) == []
+        out += [(t, m.seq) for m in link.receive(t)]
+    return out
+
+
+@SETTINGS
+@given(sends, st.floats(0.0, 30.0), st.floats(0.0, 4.0), st.integers(0, 99))
+def test_nothing_is_lost_reordered_or_early(gaps, delay, jitter, seed):
+    link = a_link(seed, delay=delay, jitter=jitter)
+    times = sent(link, gaps)
+    got = arrivals(link)
+    assert [k for _, k in got] == list(range(len(gaps)))
+    for (t, k), (left, size) in zip(got, times, strict=True):
+        assert t >= left + delay + 8 * size / 1e4 - 1e-9, k
+    assert all(a[0] <= b[0] for a, b in pairwise(got))
+
+
+@SETTINGS
+@given(sends)
+def test_bandwidth_is_conserved(gaps):
+    link = a_link(delay=0.0)
+    times = sent(link, gaps)
+    got = arrivals(link)
+    sizes = [size for _, size in times]
+    for i in range(len(got)):
+        for j in range(i + 1, len(got)):
+            # Between two arrivals the bits of all later messages up to the second must have passed.
+            assert got[j][0] - got[i][0] >= 8 * sum(sizes[i + 1 : j + 1]) / 1e4 - 1e-9
+
+
+@SETTINGS
+@given(sends, st.floats(0.0, 30.0))
+def test_delay_shifts_every_arrival_alike(gaps, delay):
+    near, far = a_link(delay=0.0), a_link(delay=delay)
+    sent(near, gaps)
+    sent(far, gaps)
+    assert [t for t, _ in arrivals(far)] == pytest.approx([t + delay for t, _ in arrivals(near)])
+
+
+@SETTINGS
+@given(st.floats(0.0, 0.9), st.integers(0, 99))
+def test_loss_only_takes_messages_away(loss, seed):
+    gaps = [(1.0, 10)] * 40
+    clean, lossy = a_link(seed, jitter=2.0), a_link(seed, jitter=2.0, loss=loss)
+    sent(clean, gaps)
+    sent(lossy, gaps)
+    whole = {k for _, k in arrivals(clean)}
+    kept = {k for _, k in arrivals(lossy)}
+    assert kept <= whole and (loss > 0.0 or kept == whole)
+
+
+def test_loss_has_the_asked_rate():
+    link = a_link(loss=0.3)
+    sent(link, [(0.1, 0)] * 2000)
+    # Three standard deviations of a binomial.
+    assert len(arrivals(link)) == pytest.approx(1400, abs=3 * math.sqrt(2000 * 0.3 * 0.7))
+
+
+def test_nothing_leaves_during_an_outage():
+    link = a_link(delay=1.0, bandwidth=8000.0, outages=((10.0, 50.0), (60.0, 61.0)))
+    size = len(encode(receipt(0)))
+    link.send(receipt(0), 9.9)
+    # A tenth of a second's worth leaves before the outage, the rest when it ends.
+    assert link.next_arrival() == pytest.approx(50.0 + size / 1000.0 - 0.1 + 1.0)
+    link.receive(1e3)
+    size = len(link.send(receipt(1), 60.5))
+    assert link.next_arrival() == pytest.approx(61.0 + size / 1000.0 + 1.0)
+
+
+def test_defaults_are_the_designs():
+    assert (downlink(5.0).bandwidth, uplink(5.0).bandwidth) == (2e6, 64e3)
+    assert downlink(5.0).delay == 5.0 and downlink(5.0).loss == 0.0
+
+
+def test_a_picture_takes_its_size_over_the_bandwidth():
+    rng = np.random.default_rng(0)
+    zeros = np.zeros((6, 6))
+    state = Telemetry(
+        seq=0, robot_id="sdm_b", t=0.0, joints=zeros, motors=zeros, torques=zeros, attitude_rpy=np.zeros(3),
+        rates=np.zeros(3), acceleration=np.zeros(3), executive_state="idle", sequence_id=-1, command_index=0,
+    )  # fmt: skip
+    left, right = rng.integers(0, 256, (2, 192, 256)).astype(np.uint8)
+    pair = StereoPair(
+        seq=0, robot_id="sdm_b", t=0.0, camera="navcam_1", binning=4, left=left, right=right, exposure=0.01, state=state
+    )
+    link = DelayedLink(downlink(5.0), rng)
+    raw = link.send(pair, 0.0)
+    assert link.bytes_sent == len(raw) > 2 * 192 * 256
+    assert link.next_arrival() == pytest.approx(5.0 + 8 * len(raw) / 2e6)
+    (got,) = link.receive(link.next_arrival())
+    assert isinstance(got, StereoPair) and np.array_equal(got.left, left) and np.array_equal(got.right, right)
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        ({"delay": -1.0}, "delay is -1.0 s"),
+        ({"delay": math.nan}, "delay is nan s"),
+        ({"jitter": -0.1}, "jitter is -0.1 s"),
+        ({"bandwidth": 0.0}, "bandwidth is 0.0 bit/s"),
+        ({"bandwidth": math.nan}, "bandwidth is nan bit/s"),
+        ({"loss": 1.0}, r"loss is 1.0, must be in \[0, 1\)"),
+        ({"outages": ((5.0, 3.0),)}, "outage 5.0 to 3.0 s"),
+        ({"outages": ((0.0, 3.0), (2.0, 4.0))}, "not begin before 3.0 s"),
+    ],
+)
+def test_unusable_links_are_refused(config, said):
+    with pytest.raises(LinkError, match=said):
+        a_link(**config)
+
+
+def test_sending_backwards_in_time_is_refused():
+    link = a_link()
+    link.send(Stop(seq=0, robot_id="sdm_b", t=3.0), 3.0)
+    with pytest.raises(LinkError, match="send time is 2"):
+        link.send(Stop(seq=1, robot_id="sdm_b", t=2.0), 2.0)
