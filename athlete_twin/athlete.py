@@ -270,7 +270,7 @@ class Athlete:
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
         made = self._tell(events)
-        changed = state != self.executive.state
+        changed = state != self.executive.state or any(e.kind == "fault" for e in events)
         if changed or (self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD):
             made.append(self._telemetry())
         return made

@@ -107,11 +107,11 @@ def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Mov
     while fraction < 1.0:
         rate = (kin.spec.speed_loaded if loaded else kin.spec.speed_unloaded) * command.speed_scale
         step = min(speed * dt / max(length, 1e-9), 1.0 - fraction)
-        target = _solve(kin, leg, origin + (fraction + step) * span, direction, q[leg])
+        target = _solve(kin, leg, origin + (fraction + step) * span, direction)
         change = np.abs(target - q[leg]).max()
         if change > rate * dt:
             step *= rate * dt / change
-            target = _solve(kin, leg, origin + (fraction + step) * span, direction, q[leg])
+            target = _solve(kin, leg, origin + (fraction + step) * span, direction)
         fraction += step
         q = q.copy()
         q[leg] = target
@@ -146,41 +146,40 @@ def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> M
     size = float(np.linalg.norm(command.translation_in_hex))
     size = max(size, 2.0 * float(np.linalg.norm(command.rotvec_in_hex)), float(np.abs(command.wheel_offsets_in_hex).max()))
     for fraction in np.linspace(0.0, 1.0, CHECKED_POINTS):
-        _body_pose(kin, command, wheels, directions, fraction, start)
+        _body_pose(kin, command, wheels, directions, fraction)
     q, fraction = start.copy(), 0.0
     rate = kin.spec.speed_loaded * command.speed_scale
     while fraction < 1.0 and size > 0.0:
         step = min(WHEEL_SPEED * dt / size, 1.0 - fraction)
-        target = _body_pose(kin, command, wheels, directions, fraction + step, q)
+        target = _body_pose(kin, command, wheels, directions, fraction + step)
         change = np.abs(target - q).max()
         if change > rate * dt:
             step *= rate * dt / change
-            target = _body_pose(kin, command, wheels, directions, fraction + step, q)
+            target = _body_pose(kin, command, wheels, directions, fraction + step)
         fraction += step
         q = target
         yield q
 
 
 def _body_pose(
-    kin: Kinematics, command: BodyMove, wheels: Wheels, directions: Wheels, fraction: float, near: Joints
+    kin: Kinematics, command: BodyMove, wheels: Wheels, directions: Wheels, fraction: float
 ) -> Joints:
     start_from_hex = SE3.from_rotvec(fraction * command.rotvec_in_hex, fraction * command.translation_in_hex)
     hex_from_start = start_from_hex.inverse()
     targets = hex_from_start.apply(wheels) + fraction * command.wheel_offsets_in_hex
     links = hex_from_start.rotate(directions)
-    return np.array([_solve(kin, leg, targets[leg], links[leg], near[leg]) for leg in range(LEGS)])
+    return np.array([_solve(kin, leg, targets[leg], links[leg]) for leg in range(LEGS)])
 
 
-def _solve(kin: Kinematics, leg: int, wheel_in_hex: Vec3, last_link_in_hex: Vec3, near: np.ndarray) -> np.ndarray:
-    hip_pitch = float(near[1]) if kin.spec.stance_hip_pitch is not None else None
-    q, ok = leg_ik(kin.spec, leg, wheel_in_hex[None], last_link_in_hex=last_link_in_hex, hip_pitch=hip_pitch)
+def _solve(kin: Kinematics, leg: int, wheel_in_hex: Vec3, last_link_in_hex: Vec3) -> np.ndarray:
+    q, ok = leg_ik(kin.spec, leg, wheel_in_hex[None], last_link_in_hex=last_link_in_hex)
     if not ok[0]:
         raise MoveFailedError("unreachable", f"leg {leg + 1} cannot put its wheel at {np.round(wheel_in_hex, 3)} in hex", leg)
     return q[0]
 
 
 def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, direction: Vec3) -> None:
-    first = _solve(kin, leg, points[0], direction, start[leg])
+    first = _solve(kin, leg, points[0], direction)
     off = float(np.abs(first - start[leg]).max())
     if off > BRANCH_TOLERANCE:
         raise MoveFailedError(
@@ -190,7 +189,7 @@ def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, d
             leg,
         )
     for point in points[1:]:
-        _solve(kin, leg, point, direction, start[leg])
+        _solve(kin, leg, point, direction)
 
 
 def loads_from_torques(kin: Kinematics, sensed: Sensed) -> PerLeg:

@@ -2,7 +2,8 @@
 
 The yaw turns the leg's plane through the wheel; in the plane the last link's direction is given (near vertical when it
 bears load, [SunSpiral2012] s7.1), so that thigh and shank remain: a two-link arm, knee up. The roll joints stay at zero.
-T12 has one pitch joint more: its first thigh takes a given angle, and the second one is the arm's first link.
+T12 has one pitch joint more: its first thigh follows the drawings' rule, steeper the nearer the wheel is to the hip, and
+the second one is the arm's first link.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from athlete_twin.geometry.arrays import Joints, Points3, Vec3, Wheels
 from athlete_twin.model.spec import LEGS, RobotSpec
 
 DOWN = np.array([0.0, 0.0, -1.0])
+THIGH_MARGIN = float(np.deg2rad(2.0))
+"""kept from the first thigh's limit [rad]"""
 STRAIGHT_MARGIN = 0.9995
 """cosine beyond which the knee counts as straight: at full stretch the joint speeds of a straight move diverge"""
 
@@ -34,7 +37,7 @@ def leg_ik(
         wheels_in_hex: wanted axle centres, shape (n, 3) [m].
         last_link_in_hex: direction the last link shall point to, projected into the leg's plane; down in world for a
             chassis that is not level.
-        hip_pitch: of a leg with two thighs [rad]; the normal stance's by default.
+        hip_pitch: of a leg with two thighs [rad]; by the drawings' rule when None.
 
     Rows that do not exist (out of reach, or beyond a joint's limit) are NaN.
     """
@@ -50,6 +53,8 @@ def leg_ik(
     hip = spec.joints[pitch[0]].offset
     out, down = np.hypot(x, y) - hip[0], -(d[:, 2] - hip[2])
 
+    reach = out.copy()
+
     heading = azimuth + yaw
     radial = np.cos(heading) * last_link_in_hex[0] + np.sin(heading) * last_link_in_hex[1]
     last_angle = np.arctan2(-last_link_in_hex[2], radial)
@@ -61,9 +66,7 @@ def leg_ik(
     base = np.zeros(len(points))
     upper_length = float(spec.joints[pitch[1]].offset[0])
     if len(pitch) == 4:
-        first = spec.stance_hip_pitch if hip_pitch is None else hip_pitch
-        if first is None:
-            raise KinematicsError(f"{spec.name} has two thighs: hip_pitch or the stance's is needed")
+        first = _first_thigh(spec, reach) if hip_pitch is None else np.full(len(points), hip_pitch)
         base += first
         out, down = out - upper_length * np.cos(first), down - upper_length * np.sin(first)
         q[:, pitch[0]] = first
@@ -80,6 +83,14 @@ def leg_ik(
     ok &= ((q >= spec.lower) & (q <= spec.upper)).all(axis=1) & np.isfinite(q).all(axis=1)
     q[~ok] = np.nan
     return q, ok
+
+
+def _first_thigh(spec: RobotSpec, reach: np.ndarray) -> np.ndarray:
+    """Hip pitch of a leg with two thighs for wheels `reach` metres outside the hip-pitch axis [rad]."""
+    if spec.hip_pitch_rule is None:
+        raise KinematicsError(f"{spec.name} has two thighs: its drawings need a rule for the hip pitch")
+    at_axis, slope = spec.hip_pitch_rule
+    return np.clip(at_axis + slope * reach, spec.joints[1].lower + THIGH_MARGIN, 0.0)
 
 
 def all_legs_ik(

@@ -119,8 +119,9 @@ class RobotSpec:
     """of one gait cycle on open ground [m]"""
     min_support_margin: float
     """of the stability rule [m]"""
-    stance_hip_pitch: float | None
-    """of a leg with a redundant pitch joint, in the normal stance [rad]; None where the leg has none"""
+    hip_pitch_rule: tuple[float, float] | None
+    """of a leg with a redundant pitch joint: hip pitch with the wheel below the hip-pitch axis [rad], and its change per
+    metre further out [rad/m], which keeps the peak torque near its least; None where the leg has none"""
     believed_foot_stiffness: float
     """vertical spring a foot, [SunSpiral2012] eq. 3 [N/m]"""
     believed_lateral_ratio: float
@@ -208,7 +209,7 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         chassis_height=figure(stance["chassis_height"]),
         stride=figure(stance["stride"]),
         min_support_margin=figure(stance["min_support_margin"]),
-        stance_hip_pitch=float(np.deg2rad(figure(stance["hip_pitch_deg"]))) if "hip_pitch_deg" in stance else None,
+        hip_pitch_rule=_hip_pitch_rule(stance),
         believed_foot_stiffness=figure(belief["foot_stiffness_z"]),
         believed_lateral_ratio=figure(belief["lateral_ratio"]),
         cameras=tuple(c for group in content["camera"] for c in _cameras(group)),
@@ -230,6 +231,12 @@ def figure(entry: dict[str, Any]) -> Any:
     if not np.isfinite(value):
         raise ConfigError(f"figure {entry} is not finite")
     return float(value)
+
+
+def _hip_pitch_rule(stance: dict[str, Any]) -> tuple[float, float] | None:
+    if "hip_pitch_deg" not in stance:
+        return None
+    return float(np.deg2rad(figure(stance["hip_pitch_deg"]))), float(np.deg2rad(figure(stance["hip_pitch_slope_deg"])))
 
 
 def _joint(entry: dict[str, Any]) -> JointSpec:

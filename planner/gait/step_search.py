@@ -295,8 +295,7 @@ def _lifted(
     target = pose.translation + sag.commanded_lift * up
     heights = np.array([0.5 * sag.lift_to_break, sag.lift_to_break, sag.commanded_lift])
     steps = pose.translation + heights[:, None] * up
-    hip = float(belief.motors[leg, 1]) if kin.spec.stance_hip_pitch is not None else None
-    q, ok = leg_ik(kin.spec, leg, steps, last_link_in_hex=pose.rotation[:, 0], hip_pitch=hip)
+    q, ok = leg_ik(kin.spec, leg, steps, last_link_in_hex=pose.rotation[:, 0])
     return (target, q[1], q[2]) if ok.all() else None
 
 

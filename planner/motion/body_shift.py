@@ -111,9 +111,8 @@ def _all_legs(
     spec = kinematics.spec
     out = np.empty((LEGS, spec.dof))
     for leg in range(LEGS):
-        hip_pitch = float(joints[leg, 1]) if spec.stance_hip_pitch is not None else None
         at = targets[leg : leg + 1]
-        q, ok = leg_ik(spec, leg, at, last_link_in_hex=directions[leg], hip_pitch=hip_pitch)
+        q, ok = leg_ik(spec, leg, at, last_link_in_hex=directions[leg])
         if not ok[0]:
             return f"leg {leg + 1} cannot put its wheel at {np.round(at[0], 3)} in hex"
         out[leg] = q[0]

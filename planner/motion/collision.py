@@ -392,7 +392,9 @@ def _margin(parts: _Parts, i: int, j: int, config: CollisionConfig) -> float | N
     if a < 0 and b < 0:
         return None
     if a < 0 or b < 0:
-        return config.body_clearance
+        # A hip's housing turns in the chassis that carries it.
+        hip = parts.order[j if a < 0 else i] == 0
+        return None if hip else config.body_clearance
     if a == b:
         segment = _segments(parts.spec)
         apart = abs(segment[parts.order[i]] - segment[parts.order[j]])

@@ -15,9 +15,10 @@ import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
+from jaxtyping import Float
 
 from athlete_twin.errors import PlanningError
-from athlete_twin.geometry.arrays import LegJoints, LegPath, Vec3
+from athlete_twin.geometry.arrays import LegJoints, Vec3
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import RobotSpec
 from planner.motion.collision import LegCollision
@@ -67,11 +68,11 @@ class SwingStats:
 class SwingPath:
     """A leg's step that reaches and collides nowhere."""
 
-    lift: LegPath
+    lift: Float[np.ndarray, "n dof"]
     """straight up from the start to the lift way-point, shape (n, dof) [rad]"""
-    waypoints: LegPath
+    waypoints: Float[np.ndarray, "k dof"]
     """through the air, from the lift to the touchdown way-point, shape (k, dof) [rad]"""
-    descent: LegPath
+    descent: Float[np.ndarray, "m dof"]
     """straight down to the goal, shape (m, dof) [rad]"""
     lengths: tuple[float, float, float]
     """joint-space lengths of the three [rad]"""
@@ -204,9 +205,8 @@ class _Straight:
         """Joint angles along a straight line of the wheel in hex; else what is wrong."""
         n = 1 + max(1, int(np.ceil(np.linalg.norm(b - a) / self.config.vertical_step)))
         points = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
-        hip_pitch = float(posture[1]) if self.spec.stance_hip_pitch is not None else None
         direction = self.collision.last_link_in_hex(posture)
-        q, ok = leg_ik(self.spec, self.collision.leg, points, last_link_in_hex=direction, hip_pitch=hip_pitch)
+        q, ok = leg_ik(self.spec, self.collision.leg, points, last_link_in_hex=direction)
         if not ok.all():
             return f"leg {self.collision.leg + 1} cannot put its wheel at {np.round(points[np.argmin(ok)], 3)} in hex"
         step = float(np.abs(np.diff(q, axis=0)).max())

@@ -30,12 +30,14 @@ class SelfClearanceConfig:
     """from the axis of thigh or shank: its radius, the outline's fattening, the pose's error [m]"""
     last_link_distance: float = 0.20
     """from the axis of the last link: fork and half the wheel's width; a rock may stand beside a wheel [m]"""
+    headroom: float = 0.25
+    """below the hip plane; within the legs' reach nothing higher than that can be terrain, the robot swings there [m]"""
     min_height: float = 0.15
     """above the lowest wheel's contact: what is lower may well be ground [m]"""
 
     def __post_init__(self) -> None:
-        if min(self.distance, self.last_link_distance, self.min_height) < 0.0:
-            raise ConfigError(f"distances and height must not be negative, got {self}")
+        if min(self.distance, self.last_link_distance, self.min_height, self.headroom) < 0.0:
+            raise ConfigError(f"distances and heights must not be negative, got {self}")
 
 
 def without_hanging_points(
@@ -73,6 +75,8 @@ def without_hanging_points(
         for k, (a, b) in enumerate(zip(chain[:-1], chain[1:], strict=True)):
             limit = config.last_link_distance if k == len(chain) - 2 else config.distance
             near |= _distance_to_segment(points, a, b) < limit
+    reach = float(np.linalg.norm(spec.hips_in_hex[0])) + sum(float(np.linalg.norm(j.offset)) for j in spec.joints)
+    near |= (np.hypot(points[:, 0], points[:, 1]) < reach) & (points[:, 2] > -config.headroom)
     gone = depth.depth.copy()
     gone[rows[near], columns[near]] = np.nan
     return replace(depth, depth=gone, sigma=np.where(np.isfinite(gone), depth.sigma, np.nan))
