@@ -4,8 +4,9 @@ import pytest
 from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.appearance import VisualPart
-from planner.perception.self_mask import SelfMaskConfig, draw_robot, height_above_ground, remove_self, segment
+from planner.perception.self_mask import SelfMaskConfig, draw_robot, remove_self
 from planner.perception.stereo import StereoConfig, match
+from planner.perception.watershed import height_above_ground, segment
 
 UP = np.array([0.0, 0.0, 1.0])
 LEG, ROCK, SWUNG = 1, 2, 3
@@ -132,7 +133,7 @@ def test_height_is_measured_from_tilted_ground(view, synth, known):
 def test_segments_end_at_depth_edges(view):
     depth, _, what, *_ = view
     height = height_above_ground(depth, UP, np.zeros((0, 3)))
-    labels = segment(depth, height, config=SelfMaskConfig())
+    labels = segment(depth, height, ground_cut=0.08, edge_px=1.5, min_segment_px=12)
     legs = {n for k in (LEG, SWUNG) for n in np.unique(labels[(what == k) & (labels > 1)]) if (labels == n).sum() > 200}
     for n in legs:
         inside = what[labels == n]
@@ -153,6 +154,27 @@ def test_image_without_robot_keeps_everything(view, synth):
             ground_in_hex=np.zeros((0, 3)),
         )
         assert result.mask.mean() < 0.001
+
+
+def test_wheel_is_told_from_a_rock_by_where_it_stands(synth):
+    """Two equal stubs: by the depth alone both are rocks, the one on a believed contact is the wheel."""
+    camera = synth.looking(1.5, 42.0)
+    scene = synth.Scene([synth.Cylinder(2.0, 0.4, 0.2, 0.0, 0.45), synth.Cylinder(2.0, -0.6, 0.2, 0.0, 0.45)])
+    depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
+    what = scene.trace(camera.hex_from_camera, camera.eye)[2]
+    contacts = np.array([[2.0, 0.4, 0.0], [-2.0, 0.4, 0.0], [0.0, -3.0, 0.0]])
+    for ground, wheel_gone in ((contacts, True), (np.zeros((0, 3)), False)):
+        result = remove_self(
+            depth,
+            config=SelfMaskConfig(method="watershed"),
+            parts=[],
+            hex_from_link={},
+            up_in_hex=UP,
+            ground_in_hex=ground,
+        )
+        seen = np.isfinite(depth.depth)
+        assert (result.mask[(what == 1) & seen].mean() > 0.9) == wheel_gone
+        assert result.mask[(what == 2) & seen].mean() < 0.02
 
 
 def test_unknown_method_is_refused():
