@@ -141,7 +141,9 @@ class MockAthlete:
             self._record_track()
         made = self._tell(events)
         due = self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD
-        if due or state != self.executive.state:
+        # A sequence that fails in its first tick leaves the state as it was, and still it has ended.
+        ended = any(e.kind == "fault" or e.command_index < 0 for e in events)
+        if due or ended or state != self.executive.state:
             made.append(self._telemetry())
         return made
 

@@ -18,7 +18,7 @@ class Robot(Protocol):
     """A vehicle with its on-board executive.
 
     The cadence of telemetry is the robot's own: once at the start, once a second of mission time while a sequence runs,
-    and whenever its executive changes state.
+    whenever its executive changes state and whenever a sequence has ended, be it in its first moment.
     """
 
     @property

@@ -118,6 +118,16 @@ def test_telemetry_comes_once_a_second_and_at_each_change_of_state():
     assert robot.advance(robot.t + 100.0) == []
 
 
+def test_every_end_of_a_sequence_is_followed_by_telemetry():
+    robot = MockAthlete(load_spec("sdm_b"))
+    far = LegMove(leg=0, wheel_in_hex=np.array([9.0, 0.0, 0.0]))
+    for number in range(3):
+        made = carried_out(robot, far, number=number)
+        assert any(isinstance(m, Fault) for m in made)
+        last = made[-1]
+        assert isinstance(last, Telemetry) and last.executive_state == "fault" and last.sequence_id == number
+
+
 def test_sequences_are_receipted_and_numbered():
     robot = MockAthlete(load_spec("sdm_b"))
     made = carried_out(robot, Wait(duration=0.5)) + carried_out(robot, Wait(duration=0.5), number=1)
