@@ -89,7 +89,7 @@ def test_step_and_shift_do_what_they_say(name):
     robot = MockAthlete(load_spec(name))
     wheel = robot.kin.wheels_in_hex(robot.executive.setpoint)[0]
     lifted = wheel + np.array([0.0, 0.0, 0.3])
-    ahead, deep = lifted + np.array([0.1, 0.0, 0.0]), wheel + np.array([0.1, 0.0, -0.15])
+    ahead, deep = lifted + np.array([0.1, 0.0, 0.0]), wheel + np.array([0.1, 0.0, -0.03])
     before = robot.truth().wheels_in_world
     made = carried_out(
         robot,
