@@ -42,9 +42,9 @@ LOWERINGS = 2
 FLAT_RADIUS = 8.0
 """of the flat map of a variant without pictures [m]"""
 MAX_TORQUE_FRACTION = 1.0
-RETRY_LIFT = 0.06
+RETRY_LIFT = 0.10
 """added to a lift that did not break contact [m]"""
-MAX_EXTRA_LIFT = 0.25
+MAX_EXTRA_LIFT = 0.30
 """[m]"""
 MAX_ATTEMPTS = 6
 """faults at one and the same step before the ground gives up"""
@@ -92,7 +92,7 @@ class GroundAgent:
         self._sent: _Sent | None = None
         self._proposal: Proposal | None = None
         self._plan: StepPlan | None = None
-        self._queue: list[int] = []
+        self._attempt: StepPlan | None = None
         self._ground_s = 0.0
         self._sequence_id = 0
         self._proposals = 0
@@ -268,8 +268,8 @@ class GroundAgent:
         heading = np.asarray(offset / max(remaining, 1e-9))
         with self._timer("footfall"):
             ground = self._ground(belief)
-        if len(in_air) and 0 < self._lowerings <= LOWERINGS and self.last_attempt is not None:
-            return self._lower(belief, ground, self.last_attempt, t)
+        if len(in_air) and 0 < self._lowerings <= LOWERINGS and self._attempt is not None:
+            return self._lower(belief, ground, self._attempt, t)
         refused: Counter[str] = Counter()
         reasons = []
         for leg in self._order(belief, heading, in_air):
@@ -293,26 +293,23 @@ class GroundAgent:
                 return self._as_proposal(found, belief, ground, t)
             refused.update(found.refused)
             reasons.append(found.reason)
+        if len(in_air) and self._attempt is not None and self._lowerings <= LOWERINGS:
+            self._lowerings += 1
+            return self._lower(belief, ground, self._attempt, t)
         return NoStep(reason="; ".join(dict.fromkeys(reasons)), refused=dict(refused))
-
-    @property
-    def last_attempt(self) -> StepPlan | None:
-        """The step that was sent last, whether it succeeded or not."""
-        return self._attempt
-
-    _attempt: StepPlan | None = None
 
     def _order(self, belief: Belief, heading: Vec2, in_air: np.ndarray) -> list[int]:
         """Legs to try, first the one whose turn it is. A leg in the air must come down before any other moves."""
         if len(in_air):
             return [int(in_air[0])]
         if self._forced_leg is not None:
-            return [self._forced_leg]
+            return [self._forced_leg] + [leg for leg in range(LEGS) if leg != self._forced_leg and self._forced_xy is None]
         heading_in_hex = (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2]
         wave = reverse_wave(self.spec, heading_in_hex / np.linalg.norm(heading_in_hex))
         fewest = min(self.stepped[leg] for leg in range(LEGS))
         due = [leg for leg in wave if self.stepped[leg] == fewest]
-        return due + [leg for leg in wave if leg not in due]
+        # A leg ahead of its turn may step once, to let the chassis go on; twice would only run away from the others.
+        return due + [leg for leg in wave if self.stepped[leg] == fewest + 1]
 
     def _survey(self, belief: Belief, heading: Vec2, t: float) -> Action:
         self._surveyed = True

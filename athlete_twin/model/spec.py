@@ -113,6 +113,8 @@ class RobotSpec:
     """of a joint of a leg in the air [rad/s]"""
     foot_radius: float
     """of the axles from the hex's z axis in the normal stance [m]"""
+    foot_azimuths: PerLeg
+    """of the axles about the hex's z axis in the normal stance [rad]"""
     chassis_height: float
     """of the hex origin above the ground in the normal stance, before sag [m]"""
     stride: float
@@ -206,6 +208,9 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         speed_loaded=figure(motion["speed_loaded"]),
         speed_unloaded=figure(motion["speed_unloaded"]),
         foot_radius=figure(stance["foot_radius"]),
+        foot_azimuths=np.deg2rad(figure(stance["foot_azimuth_deg"]))
+        if "foot_azimuth_deg" in stance
+        else np.arctan2(hips_in_hex[:, 1], hips_in_hex[:, 0]),
         chassis_height=figure(stance["chassis_height"]),
         stride=figure(stance["stride"]),
         min_support_margin=figure(stance["min_support_margin"]),

@@ -20,7 +20,7 @@ def stance_wheels_in_hex(spec: RobotSpec, foot_radius: float | None = None, chas
     """
     radius = spec.foot_radius if foot_radius is None else foot_radius
     height = spec.chassis_height if chassis_height is None else chassis_height
-    angles = np.arctan2(spec.hips_in_hex[:, 1], spec.hips_in_hex[:, 0])
+    angles = spec.foot_azimuths
     z = np.full(6, spec.wheel.radius - height)
     return np.column_stack([radius * np.cos(angles), radius * np.sin(angles), z])
 

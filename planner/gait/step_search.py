@@ -69,10 +69,10 @@ class TouchdownConfig:
 
     method: str = "guarded"
     """"guarded": down until the wheel carries its share; it feels the ground by the leg's torques"""
-    lift_clearance: float = 0.12
-    """of the wheel above its old place before it swings [m]"""
-    approach_clearance: float = 0.12
-    """of the wheel above the footfall where the descent begins; the map may be wrong by half of it [m]"""
+    lift_clearance: float = 0.5
+    """of the wheel above its old place before it swings, over its radius: covers what the springs do not know of sag"""
+    approach_clearance: float = 0.4
+    """of the wheel above the footfall where the descent begins, over its radius; the map may be wrong by half of it"""
     search_depth: float = 0.12
     """how far below the expected ground the descent goes on, compensation apart [m]"""
     load_fraction: float = 0.92
@@ -163,7 +163,7 @@ def search_step(
         footfalls_in_world=places,
         world_from_hex=swing_pose,
         config=config.stability,
-        lift=config.touchdown.approach_clearance,
+        lift=config.touchdown.approach_clearance * kin.spec.wheel.radius,
         payload_kg=payload_kg,
     )
     refused.update({REASONS[code]: int(n) for code, n in enumerate(np.bincount(judged.reason)) if code and n})
@@ -200,7 +200,7 @@ def _predict(
         com_planted=com,
         com_airborne=com,
         weight=(kin.spec.mass + payload) * GRAVITY,
-        clearance=config.touchdown.lift_clearance + request.extra_lift,
+        clearance=config.touchdown.lift_clearance * kin.spec.wheel.radius + request.extra_lift,
         springs=springs,
         config=config.sag,
         gravity_in_hex=belief.gravity_in_hex(),
@@ -323,7 +323,7 @@ def _try(
     spec, leg, touch = kin.spec, request.leg, config.touchdown
     hex_from_world = swing_pose.inverse()
     axle = place + spec.wheel.radius * UP
-    above, down = hex_from_world.apply(axle + touch.approach_clearance * UP), hex_from_world.rotate(-UP)
+    above, down = hex_from_world.apply(axle + touch.approach_clearance * spec.wheel.radius * UP), hex_from_world.rotate(-UP)
     depth = sag.reload + touch.search_depth
     ends = np.array([above, hex_from_world.apply(axle), hex_from_world.apply(axle - depth * UP)])
     q, ok = leg_ik(spec, leg, ends, last_link_in_hex=down)
@@ -382,7 +382,7 @@ def _try(
         world_from_hex_swing=swing_pose,
         preview_joints=np.array(joints),
         preview_world_from_hex=tuple(poses),
-        lift_clearance=touch.lift_clearance,
+        lift_clearance=touch.lift_clearance * spec.wheel.radius + request.extra_lift,
         swing_margin=float(support_margin(com_swing, np.delete(contacts, leg, axis=0))),
         landed_margin=float(cps_margin(com_landed, contacts)),
         sag=float(max(abs(drop), sag.tilt * np.linalg.norm(spec.hips_in_hex[leg]))),
