@@ -43,6 +43,9 @@ def save_preview(proposal: Proposal, robot: str, path: Path) -> None:
                 lw=2 if moving else 1,
             )
             top.plot(line[:, 0], line[:, 1], color=colour, alpha=strength if moving else 0.3 * strength, lw=1.5)
+        ring = world_from_hex.apply(np.vstack([kin.spec.hips_in_hex, kin.spec.hips_in_hex[:1]]))
+        side.plot(ring[:, 0], ring[:, 2], color="0.35", alpha=0.3, lw=2)
+        top.plot(ring[:, 0], ring[:, 1], color="0.35", alpha=0.3, lw=1)
     _ground_line(side, proposal)
     side.set(xlabel="x [m]", ylabel="z [m]", title="from the right side, orange: the leg that swings")
     side.set_aspect("equal")
@@ -63,9 +66,10 @@ def _top_view(axes: object, proposal: Proposal) -> None:
     x, y = grid.centres()
     known = np.isfinite(grid.heights)
     colours = np.full((*grid.shape, 3), 0.85)
-    relief = np.where(known, grid.heights, 0.0)
-    span = max(float(np.ptp(relief[known])) if known.any() else 0.0, 1e-3)
-    shade = 0.55 + 0.45 * (relief - (relief[known].min() if known.any() else 0.0)) / span
+    # Percentiles: a single spike in the map must not turn everything else dark.
+    low, high = np.percentile(grid.heights[known], [2, 98]) if known.any() else (0.0, 1.0)
+    relief = np.where(known, grid.heights, low)
+    shade = 0.6 + 0.4 * np.clip((relief - low) / max(float(high - low), 1e-3), 0.0, 1.0)
     green, red = np.array([0.45, 0.8, 0.45]), np.array([0.9, 0.45, 0.4])
     colours[known] = (np.where(ok[..., None], green, red) * shade[..., None])[known]
     extent = (float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))
