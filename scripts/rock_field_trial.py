@@ -14,7 +14,7 @@ import importlib.util
 import signal
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -112,10 +112,11 @@ def prepared(options: Options) -> Trial:
 
 
 def run(trial: Trial) -> TrialResult:
-    """Runs the trial with its progress on the terminal. A second kind of Ctrl-C, SIGTERM, ends it the same way."""
+    """Runs the trial with its progress on the terminal. SIGTERM ends it as Ctrl-C does."""
     before = signal.signal(signal.SIGTERM, _interrupt)
     try:
-        with _progress() as trial.progress:
+        # A line that renews itself would write over what a person types.
+        with _progress(renewed=trial.setup.operator != "human") as trial.progress:
             return trial.run()
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -145,13 +146,13 @@ def _interrupt(_signal: int, _frame: FrameType | None) -> None:
 
 
 @contextmanager
-def _progress() -> Iterator[Any]:
-    """Distance, steps, mission time and what is awaited, on one line that renews itself."""
+def _progress(*, renewed: bool) -> Iterator[Any]:
+    """Distance, steps, mission time and what is awaited: a line a step, and one that renews itself if wanted."""
     from rich.console import Console
 
     console = Console(stderr=True)
     shown = {"steps": -1}
-    with console.status("starting") as status:
+    with console.status("starting") if renewed else nullcontext() as status:
 
         def report(state: TrialState) -> None:
             mission, scorer = state.mission, state.scorer
@@ -159,7 +160,8 @@ def _progress() -> Iterator[Any]:
                 f"{scorer.goal_distance(state.truth):5.2f} m to go  {scorer.steps_taken:3d} steps  "
                 f"{mission.t:7.0f} s  {mission.counts.faults} faults  awaits: {_awaited(state)}"
             )
-            status.update(line)
+            if status is not None:
+                status.update(line)
             if scorer.steps_taken != shown["steps"]:
                 shown["steps"] = scorer.steps_taken
                 console.print(line, soft_wrap=True, highlight=False)

@@ -13,8 +13,8 @@ from athlete_twin.errors import ConfigError
 from planner.decisions import Decision, Proposal
 
 HELP = (
-    "a approve   r reject   e X Y edit the footfall [m, world]   l N choose leg 1-6   "
-    "c NAME ... take pictures   w S wait [s]   s stop"
+    "a approve   r reject   e X Y edit the footfall (m, world)   l N choose leg 1-6   "
+    "c NAME ... take pictures   w S wait (s)   s stop"
 )
 
 
@@ -40,14 +40,14 @@ class TerminalOperator:
         )
         while True:
             try:
-                typed = self.console.input(f"{HELP}\n> ")
+                typed = self.console.input(f"{HELP}\n> ", markup=False)
             except EOFError:
                 # Nobody is there any more: a robot without an operator stops.
                 return Decision(kind="stop"), time.perf_counter() - begun
             try:
                 return parsed(typed), time.perf_counter() - begun
             except ConfigError as e:
-                self.console.print(f"[red]{e}[/red]")
+                self.console.print(str(e), style="red", markup=False)
 
 
 def parsed(typed: str) -> Decision:
