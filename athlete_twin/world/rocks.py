@@ -89,10 +89,10 @@ class RockShape:
         sides = int(rng.integers(6, 10))
         azimuth = 2.0 * np.pi * (np.arange(sides) + rng.uniform(-0.35, 0.35, sides)) / sides
         self._normals = np.column_stack([np.cos(azimuth), np.sin(azimuth)])
-        self._distance = rng.uniform(0.80, 1.02, sides)
-        # A side rises by this many heights a radius: about 55 to 80 degrees on a rock half as high as wide.
-        self._steepness = rng.uniform(1.6, 5.0, sides)
-        self._tops = np.column_stack([rng.uniform(-0.35, 0.35, (3, 2)), rng.uniform(0.92, 1.08, 3)])
+        self._distance = rng.uniform(0.78, 1.02, sides)
+        # A side rises by this many heights a radius: 50 to 74 degrees on a rock half as high as wide.
+        self._steepness = rng.uniform(1.2, 3.5, sides)
+        self._tops = np.column_stack([rng.uniform(-0.55, 0.55, (3, 2)), rng.uniform(0.85, 1.10, 3)])
         self._harmonics = rng.normal(0.0, 0.06, (2, 4)) / np.array([1.0, 1.0, 1.5, 2.0])
         self._stretch = float(rng.uniform(0.85, 1.18))
         self._turn = float(rng.uniform(0.0, 2.0 * np.pi))
@@ -116,7 +116,7 @@ class RockShape:
         for order, (cosine, sine) in enumerate(self._harmonics.T, start=2):
             outline += cosine * np.cos(order * phi) + sine * np.sin(order * phi)
         radius = np.hypot(a, b) / outline
-        body = np.maximum(1.0 - radius**2.6, 0.0) ** 0.45
+        body = 1.15 * np.maximum(1.0 - radius**2.4, 0.0) ** 0.6
         for (nx, ny), distance, steepness in zip(self._normals, self._distance, self._steepness, strict=True):
             body = np.minimum(body, (distance - nx * a - ny * b) * steepness)
         for tilt_x, tilt_y, level in self._tops:

@@ -1,0 +1,91 @@
+import cv2
+import numpy as np
+import pytest
+
+from athlete_twin.errors import CameraError, ConfigError
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.spec import load_spec
+from athlete_twin.sensors.renderer import Renderer
+from athlete_twin.sensors.stereo_camera import StereoRig, develop, metered_exposure
+from athlete_twin.world.terrain import build_terrain, load_scenario
+
+SPEC = load_spec("sdm_b")
+WORLD_FROM_HEX = SE3.from_translation(np.array([0.0, 0.0, 1.75]))
+NO_ERROR = {c.name: SE3.identity() for c in SPEC.cameras}
+
+
+@pytest.fixture(scope="module")
+def renderer():
+    terrain = build_terrain(load_scenario("rock_field"), 0, clear_xy=np.zeros((0, 2)), clear_radius=0.3)
+    return Renderer(terrain, [])
+
+
+def rig(renderer, seed=0, error=NO_ERROR):
+    return StereoRig(SPEC, renderer, seed=seed, camera_error=error)
+
+
+def test_disparity_fits_the_baseline(renderer):
+    pair = rig(renderer).capture(["hazcam_2"], 2, {}, world_from_hex=WORLD_FROM_HEX, index=0)["hazcam_2"]
+    camera = SPEC.camera("hazcam_2")
+    eye = camera.eye.binned(2)
+    truth = renderer.render(WORLD_FROM_HEX.compose(camera.hex_from_camera), eye, renderer.place({}))
+    matcher = cv2.StereoSGBM_create(0, 96, 5, 200, 800, 1, 31, 10, 100, 2, cv2.STEREO_SGBM_MODE_SGBM_3WAY)
+    disparity = matcher.compute(pair[0], pair[1]).astype(float) / 16.0
+    seen = np.s_[:, 100:]
+    found = disparity[seen] > 1.0
+    depth = eye.focal_px * camera.baseline / disparity[seen][found]
+    assert found.mean() > 0.9
+    error = depth - truth.depth[seen][found]
+    # A fifth of a pixel at 2.5 m is 1.4 cm with this baseline and binning.
+    assert np.median(np.abs(error)) < 0.015
+    assert abs(np.median(error)) < 0.01
+
+
+def test_noise_is_paired_across_requests_and_differs_between_them(renderer):
+    one, two = rig(renderer), rig(renderer)
+    alone = one.capture(["navcam_1"], 4, {}, world_from_hex=WORLD_FROM_HEX, index=7)["navcam_1"]
+    among = two.capture(["hazcam_1", "navcam_1"], 4, {}, world_from_hex=WORLD_FROM_HEX, index=7)["navcam_1"]
+    later = one.capture(["navcam_1"], 4, {}, world_from_hex=WORLD_FROM_HEX, index=8)["navcam_1"]
+    assert alone[0].tobytes() == among[0].tobytes()
+    assert alone[1].tobytes() == among[1].tobytes()
+    assert alone[0].tobytes() != later[0].tobytes()
+    assert alone[0].dtype == np.uint8
+    assert alone[0].shape == (192, 256)
+
+
+def test_mounting_error_moves_both_eyes_together(renderer):
+    error = NO_ERROR | {"hazcam_1": SE3.from_rotvec(np.array([0.0, 0.01, 0.0]), np.array([0.005, 0.0, 0.0]))}
+    true_pose = rig(renderer, error=error).true_pose("hazcam_1")
+    drawn = SPEC.camera("hazcam_1").hex_from_camera
+    moved = drawn.inverse().compose(true_pose)
+    assert np.linalg.norm(moved.translation) == pytest.approx(0.005)
+    assert np.linalg.norm(moved.rotvec()) == pytest.approx(0.01)
+    straight = rig(renderer).capture(["hazcam_1"], 4, {}, world_from_hex=WORLD_FROM_HEX, index=0)["hazcam_1"]
+    turned = rig(renderer, error=error).capture(["hazcam_1"], 4, {}, world_from_hex=WORLD_FROM_HEX, index=0)["hazcam_1"]
+    assert straight[0].tobytes() != turned[0].tobytes()
+
+
+def test_noise_grows_as_photons_do_and_falls_with_binning():
+    rng = np.random.default_rng(0)
+    grey = {level: develop(np.full((200, 200), level, np.float32), 1e-3, binning=1, rng=rng) for level in (0.5, 1.5)}
+    binned = develop(np.full((200, 200), 1.5, np.float32), 1e-3, binning=2, rng=rng)
+    assert grey[1.5].mean() == pytest.approx(255 * 0.75, abs=0.5)
+    assert grey[1.5].std() > 1.4 * grey[0.5].std()
+    # Half the noise, plus what rounding to whole grey values adds.
+    assert binned.std() == pytest.approx(np.hypot(0.5 * grey[1.5].std(), 0.15), rel=0.15)
+
+
+def test_exposure_brings_bright_ground_just_below_white():
+    radiance = np.random.default_rng(1).uniform(0.05, 0.4, (90, 120)).astype(np.float32)
+    image = develop(radiance, metered_exposure(radiance), binning=1, rng=np.random.default_rng(0))
+    assert 200 < np.percentile(image, 97) < 240
+    assert (image == 255).mean() < 0.01
+
+
+def test_unusable_requests_are_refused(renderer):
+    with pytest.raises(ConfigError, match="camera 'navcam_9' is not on sdm_b"):
+        rig(renderer).capture(["navcam_9"], 2, {}, world_from_hex=WORLD_FROM_HEX, index=0)
+    with pytest.raises(CameraError, match="camera_error lacks navcam_1"):
+        StereoRig(SPEC, renderer, seed=0, camera_error={})
+    with pytest.raises(CameraError, match="exposure is -1"):
+        develop(np.zeros((8, 8), np.float32), -1.0, binning=1, rng=np.random.default_rng(0))
