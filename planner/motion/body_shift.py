@@ -82,7 +82,7 @@ def plan_body_shift(
     for n, (s, moved) in enumerate(zip(fractions, start_from_hex, strict=True)):
         hex_from_start = moved.inverse()
         targets = hex_from_start.apply(wheels) + s * wheel_offsets_in_hex
-        solved = _all_legs(kinematics, targets, hex_from_start.rotate(directions), joints)
+        solved = _all_legs(kinematics, targets, hex_from_start.rotate(directions))
         if isinstance(solved, str):
             return NoPath(reason="unreachable", checks=0, detail=f"{solved}, {100 * s:.0f} % of the way")
         path[n] = solved
@@ -104,9 +104,7 @@ def plan_body_shift(
     return BodyPath(joints=path, world_from_hex=poses, checks=len(poses))
 
 
-def _all_legs(
-    kinematics: Kinematics, targets: np.ndarray, directions: np.ndarray, joints: np.ndarray
-) -> np.ndarray | str:
+def _all_legs(kinematics: Kinematics, targets: np.ndarray, directions: np.ndarray) -> np.ndarray | str:
     """Joint angles (6, dof) that put the axles at the targets; else who cannot."""
     spec = kinematics.spec
     out = np.empty((LEGS, spec.dof))

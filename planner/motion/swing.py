@@ -167,12 +167,16 @@ class _Straight:
             if off > self.config.branch_tolerance:
                 detail = f"{np.rad2deg(off):.1f} deg off the closed form, allowed {np.rad2deg(self.config.branch_tolerance):.1f}"
                 return NoPath(reason=f"{name}_off_branch", checks=self.checks, detail=detail)
-        for q in path:
-            self.checks += 1
-            if not self.collision.is_free_near_ground(q):
-                hit = str(self.collision.first_collision_near_ground(q))
-                return NoPath(reason=f"{name}_collides", checks=self.checks, detail=hit)
         path[0], path[-1] = q_from, q_to
+        free = [self.collision.is_free_near_ground(q) for q in path]
+        self.checks += len(path)
+        blocked = [i for i, ok in enumerate(free) if not ok]
+        # The leg is where it is, whatever the map says of it: it may leave a contact on its way up, never enter one.
+        if name == "lift" and not free[0] and free[-1]:
+            blocked = [i for i in blocked if any(free[:i])]
+        if blocked:
+            hit = str(self.collision.first_collision_near_ground(path[blocked[0]]))
+            return NoPath(reason=f"{name}_collides", checks=self.checks, detail=hit)
         return path
 
     def climb(self, q: np.ndarray, *, name: str) -> _Climb | NoPath:
