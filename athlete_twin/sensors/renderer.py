@@ -29,8 +29,8 @@ NEAR = 0.03
 """closer than this a camera sees nothing: its own housing [m]"""
 SHADOW_LIFT = 0.004
 """shadow rays start so far above the surface [m]"""
-SUN_RADIUS = 0.006
-"""of the sun's disc where views from outside are refined; the real one has 0.0047 [rad]"""
+SUN_RADIUS = 0.0015
+"""of the sun's disc where views are refined; the real 0.0047 would reach beyond the refined pixels and be cut there [rad]"""
 HAZE_LENGTH = 900.0
 """in which a view from outside fades into the sky by 63 % [m]"""
 FILM_EXPOSURE = 1.25
