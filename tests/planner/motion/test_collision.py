@@ -182,7 +182,7 @@ def test_a_wheel_hits_the_chassis_where_its_sampled_points_come_too_close(robot)
     hull = cylinder_points(spec.wheel.radius, spec.wheel.width)[:, [0, 2, 1]]
     rng = np.random.default_rng(3)
     seen = {"hit": 0, "free": 0}
-    for _ in range(150):
+    for _ in range(90):
         q = rng.uniform(spec.lower, spec.upper)
         at = kin.leg_wheel(0, q).apply(hull)
         gap = min(float(box_distance(placed.inverse().apply(at), half).min()) for placed, half in boxes)
@@ -248,7 +248,7 @@ def test_a_payload_is_in_the_way(robot):
     rng = np.random.default_rng(2)
     only = [
         hit
-        for q in rng.uniform(spec.lower, spec.upper, (1500, spec.dof))
+        for q in rng.uniform(spec.lower, spec.upper, (600, spec.dof))
         if bare.is_free(q) and (hit := loaded.first_collision(q)) is not None
     ]
     assert only and all("payload" in hit for hit in only)

@@ -62,7 +62,7 @@ def test_the_first_round_is_dijkstra_over_all_free_edges():
         np.array([0.05, 0.1]), np.array([0.95, 0.9]), np.zeros(2), np.ones(2), around_disc, rng, SblConfig()
     )
     raw = raw[:: max(1, len(raw) // 9)] if len(raw) > 12 else raw
-    fine = lambda a, b: all(around_disc(q) for q in np.linspace(a, b, 80))  # noqa: E731
+    fine = lambda a, b: all(around_disc(q) for q in np.linspace(a, b, 50))  # noqa: E731
     legal = lambda p: all(fine(a, b) for a, b in itertools.pairwise(p))  # noqa: E731
     if not legal(raw):
         pytest.skip("the thinned path is no path")

@@ -91,7 +91,7 @@ def assert_holds(path: SwingPath, step: Step) -> None:
     assert np.abs(whole[:, rolls]).max() <= np.deg2rad(5.0) + 1e-9
     climbed = path.stats.raised_by > 0.0
     for a, b in itertools.pairwise(path.waypoints):
-        for s in np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / 0.005)):
+        for s in np.linspace(0, 1, 2 + int(np.linalg.norm(b - a) / 0.01)):
             q = a + s * (b - a)
             # Between the samples of 0.01 rad a clearance may be undershot by what the leg moves in half of that.
             assert step.collision.is_free(q) or climbed or step.collision.is_free_near_ground(q)
