@@ -270,7 +270,9 @@ class Athlete:
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
         made = self._tell(events)
-        changed = state != self.executive.state or any(e.kind == "fault" for e in events)
+        changed = state != self.executive.state or any(
+            e.kind == "fault" or (e.kind == "receipt" and e.command_index < 0) for e in events
+        )
         if changed or (self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD):
             made.append(self._telemetry())
         return made

@@ -84,6 +84,10 @@ SETTINGS: dict[str, type] = {
 }
 
 
+CLEARANCE = 0.3
+"""of a swinging leg from the terrain, over the wheel's radius: what sag is not foreseen grows with the robot"""
+
+
 @dataclass(frozen=True, kw_only=True)
 class PlannerConfig:
     """One variant of the planner for one robot."""
@@ -129,8 +133,9 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
     for stage in own:
         if stage not in SETTINGS:
             raise ConfigError(f"variant {name}: [settings.{stage}] is not known; {_meant(stage, tuple(SETTINGS))}")
+    extra = {"level_deck_deg": float(level), "terrain_clearance": CLEARANCE * spec.wheel.radius}
     made = {
-        stage: _settings(name, stage, own.get(stage, {}), chosen.get(stage), {"level_deck_deg": float(level)})
+        stage: _settings(name, stage, own.get(stage, {}), chosen.get(stage), extra)
         for stage in SETTINGS
     }
     swing = SwingConfig(sbl=made["leg_planner"], smoothing=made["smoothing"])

@@ -17,6 +17,10 @@ from athlete_twin.model.spec import LEGS, RobotSpec
 DOWN = np.array([0.0, 0.0, -1.0])
 THIGH_MARGIN = float(np.deg2rad(2.0))
 """kept from the first thigh's limit [rad]"""
+STRETCH = 0.985
+"""of its length that the leg behind the first thigh is stretched at most"""
+MAX_THIGH = float(np.deg2rad(60.0))
+"""lowest first thigh [rad]"""
 STRAIGHT_MARGIN = 0.9995
 """cosine beyond which the knee counts as straight: at full stretch the joint speeds of a straight move diverge"""
 
@@ -66,7 +70,10 @@ def leg_ik(
     base = np.zeros(len(points))
     upper_length = float(spec.joints[pitch[1]].offset[0])
     if len(pitch) == 4:
-        first = _first_thigh(spec, reach) if hip_pitch is None else np.full(len(points), hip_pitch)
+        if hip_pitch is None:
+            first = _first_thigh(spec, reach, out, down, upper_length, pitch)
+        else:
+            first = np.full(len(points), hip_pitch)
         base += first
         out, down = out - upper_length * np.cos(first), down - upper_length * np.sin(first)
         q[:, pitch[0]] = first
@@ -85,12 +92,29 @@ def leg_ik(
     return q, ok
 
 
-def _first_thigh(spec: RobotSpec, reach: np.ndarray) -> np.ndarray:
-    """Hip pitch of a leg with two thighs for wheels `reach` metres outside the hip-pitch axis [rad]."""
+def _first_thigh(
+    spec: RobotSpec, reach: np.ndarray, out: np.ndarray, down: np.ndarray, thigh: float, pitch: list[int]
+) -> np.ndarray:
+    """Hip pitch of a leg with two thighs [rad]: by the drawings' rule, or as much lower as the rest of the leg needs.
+
+    Args:
+        spec: the drawings.
+        reach: of the wheel outside the hip-pitch axis [m].
+        out: of the ankle outside that axis [m].
+        down: of the ankle below it [m].
+        thigh: length of the first thigh [m].
+        pitch: indices of the pitch joints.
+    """
     if spec.hip_pitch_rule is None:
         raise KinematicsError(f"{spec.name} has two thighs: its drawings need a rule for the hip pitch")
     at_axis, slope = spec.hip_pitch_rule
-    return np.clip(at_axis + slope * reach, spec.joints[1].lower + THIGH_MARGIN, 0.0)
+    wanted = at_axis + slope * reach
+    rest = STRETCH * sum(float(j.offset[0]) for j in spec.joints[pitch[2] :])
+    distance = np.maximum(np.hypot(out, down), 1e-9)
+    # The thigh's end must be within `rest` of the ankle: by the law of cosines, at most this far from its direction.
+    cosine = (thigh**2 + distance**2 - rest**2) / (2 * thigh * distance)
+    lowest = np.arctan2(down, out) - np.arccos(np.clip(cosine, -1.0, 1.0))
+    return np.asarray(np.clip(np.maximum(wanted, lowest), spec.joints[1].lower + THIGH_MARGIN, MAX_THIGH))
 
 
 def all_legs_ik(

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from athlete_twin.assets import robot_dir
 from athlete_twin.errors import PhysicsError
@@ -286,15 +287,24 @@ class Body:
         return leg_a == leg_c and abs(k_a - k_c) <= 2
 
     def _joint_inertias(self, joints: Joints) -> np.ndarray:
-        """Inertia that each driven joint sees, everything else free: one over the diagonal of the inverse mass matrix."""
-        b, client = self._bullet, self._client
-        q = {i: 0.0 for i in sorted(self._joint.values())}
+        """Inertia that each driven joint sees, everything else free: one over the diagonal of the inverse mass matrix.
+
+        Of the drawn robot, by Pinocchio: Bullet's own mass matrix refuses inertias that are unsymmetric in the last bit.
+        """
+        text = (robot_dir(self.spec.name) / "robot.urdf").read_text().replace('<joint name="', '<joint name="joint_')
+        model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+        q = pin.neutral(model)
+        place = {name: model.joints[model.getJointId(f"joint_{name}")] for name in self._joint}
         for leg in range(LEGS):
-            for k in range(self.spec.dof):
-                q[int(self._legs[leg, k])] = float(joints[leg, k])
-        full = np.array(b.calculateMassMatrix(self.robot, list(q.values()), physicsClientId=client))
-        inverse = np.diag(np.linalg.inv(full))[6:]
-        inertia = dict(zip(q, 1.0 / inverse, strict=True))
+            for k, name in enumerate(self.spec.joint_names):
+                q[place[f"leg{leg + 1}_{name}"].idx_q] = joints[leg, k]
+        full = pin.crba(model, model.createData(), q)
+        full = np.triu(full) + np.triu(full, 1).T
+        for name, joint in place.items():
+            if name.endswith(DISTAL):
+                full[joint.idx_v, joint.idx_v] += self.trial.truth.joint_armature
+        inverse = np.diag(np.linalg.inv(full))
+        inertia = {self._joint[name]: 1.0 / inverse[joint.idx_v] for name, joint in place.items()}
         self._wheel_damping = np.array([2.0 * 0.3 * np.sqrt(WHEEL_LOCK * inertia[i]) for i in self._wheels])
         return np.array([inertia[i] for i in self._driven])
 

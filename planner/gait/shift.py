@@ -14,8 +14,10 @@ import numpy as np
 from athlete_twin.geometry.arrays import Joints, Vec2, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.model.kinematics import Kinematics
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import all_legs_ik
+from athlete_twin.model.spec import LEGS
+from athlete_twin.model.statics import peak_torque_fraction
 from planner.belief import Belief
 from planner.gait.skeleton import GaitConfig, shift_per_step
 from planner.gait.step_plan import BodyShift
@@ -36,6 +38,8 @@ class ShiftLimits:
     """[rad]"""
     max_yaw: float = 0.03
     """[rad]"""
+    max_torque_fraction: float = 0.8
+    """of any joint, whichever leg is lifted at the end of the shift, by rigid statics: compliance takes its share"""
     level_deck_deg: float = 0.0
     """tilt that is left alone [deg]"""
 
@@ -65,7 +69,7 @@ def plan_shift(
         for mend in (1.0, 0.0):
             move = np.append(fraction * wanted * heading, mend * rise)
             end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation + move)
-            if _allowed(kin, end, wheels_in_world, contacts_in_world, stability, body, payload_kg):
+            if _allowed(kin, end, wheels_in_world, contacts_in_world, stability, limits, body, payload_kg):
                 return BodyShift(
                     translation_in_hex=pose.rotation.T @ move, rotvec_in_hex=pose.rotation.T @ (mend * turn), fraction=fraction
                 )
@@ -89,16 +93,30 @@ def _mending(kin: Kinematics, belief: Belief, contacts: Wheels, limits: ShiftLim
 
 
 def _allowed(
-    kin: Kinematics, end: SE3, wheels: Wheels, contacts: Wheels, stability: StabilityConfig, body: BodyCollision, payload: float
+    kin: Kinematics,
+    end: SE3,
+    wheels: Wheels,
+    contacts: Wheels,
+    stability: StabilityConfig,
+    limits: ShiftLimits,
+    body: BodyCollision,
+    payload: float,
 ) -> bool:
     hex_from_world = end.inverse()
-    joints, ok = all_legs_ik(
-        kin.spec, hex_from_world.apply(wheels), last_link_in_hex=hex_from_world.rotate(np.array([0.0, 0.0, -1.0]))
-    )
+    down = hex_from_world.rotate(np.array([0.0, 0.0, -1.0]))
+    joints, ok = all_legs_ik(kin.spec, hex_from_world.apply(wheels), last_link_in_hex=down)
     if not ok.all():
         return False
     com = end.apply(kin.com_in_hex(joints, payload))
     if cps_margin(com, contacts) < stability.min_margin:
         return False
-    lifted = min(support_margin(com, np.delete(contacts, leg, axis=0)) for leg in range(6))
-    return bool(lifted >= stability.min_margin and body.is_free(joints, end))
+    for leg in range(LEGS):
+        supporting = np.arange(LEGS) != leg
+        if support_margin(com, contacts[supporting]) < stability.min_margin:
+            return False
+        torque = peak_torque_fraction(
+            kin, joints, supporting=supporting, gravity_in_hex=GRAVITY * down, payload_kg=payload
+        )
+        if torque > limits.max_torque_fraction:
+            return False
+    return body.is_free(joints, end)

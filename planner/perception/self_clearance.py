@@ -26,10 +26,10 @@ class SelfClearanceConfig:
 
     enabled: bool = True
     """variants of 2008 had nothing of the kind"""
-    distance: float = 0.28
-    """from the axis of thigh or shank: its radius, the outline's fattening, the pose's error [m]"""
-    last_link_distance: float = 0.20
-    """from the axis of the last link: fork and half the wheel's width; a rock may stand beside a wheel [m]"""
+    distance: float = 1.25
+    """from the axis of thigh or shank, over the wheel's radius: its own, the outline's fattening, the pose's error"""
+    last_link_distance: float = 0.85
+    """from the axis of the last link, over the wheel's radius: fork and half the wheel; a rock may stand beside it"""
     headroom: float = 0.25
     """below the hip plane; within the legs' reach nothing higher than that can be terrain, the robot swings there [m]"""
     min_height: float = 0.15
@@ -74,7 +74,7 @@ def without_hanging_points(
         ]
         for k, (a, b) in enumerate(zip(chain[:-1], chain[1:], strict=True)):
             limit = config.last_link_distance if k == len(chain) - 2 else config.distance
-            near |= _distance_to_segment(points, a, b) < limit
+            near |= _distance_to_segment(points, a, b) < limit * spec.wheel.radius
     reach = float(np.linalg.norm(spec.hips_in_hex[0])) + sum(float(np.linalg.norm(j.offset)) for j in spec.joints)
     near |= (np.hypot(points[:, 0], points[:, 1]) < reach) & (points[:, 2] > -config.headroom)
     gone = depth.depth.copy()
