@@ -292,6 +292,8 @@ class Mission:
             )
             nanos = round(end * NANO)
             self._nanos[bin_] += nanos - self._clock
+            if self.recorder:
+                self.recorder.booked(bin_, begin, end)
             self._clock = nanos
             begin = end
         self.t = now

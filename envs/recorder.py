@@ -71,6 +71,7 @@ class Recorder:
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
+        self._span: tuple[str, float, float] | None = None
         self._open = True
 
     def __enter__(self) -> Recorder:
@@ -82,6 +83,7 @@ class Recorder:
     def close(self) -> None:
         """Write the index; the file is complete afterwards."""
         if self._open:
+            self._end_span()
             self._open = False
             self._writer.finish()
             self._file.close()
@@ -136,6 +138,22 @@ class Recorder:
         self.write("/truth/chassis", transform, point.t, kind="foxglove.FrameTransform")
         docks = getattr(point, "docks", np.zeros(0))
         self.write("/truth/joints", {"t": point.t, "joints": point.joints, "docks": docks}, point.t)
+
+    def booked(self, bin_: str, begin: float, end: float) -> None:
+        """The mission time from `begin` to `end` [s] counts as motion, ground, operator or link; neighbours are joined."""
+        if end <= begin:
+            return
+        if self._span is not None and self._span[0] == bin_ and abs(begin - self._span[2]) < 1e-6:
+            self._span = (bin_, self._span[1], end)
+            return
+        self._end_span()
+        self._span = (bin_, begin, end)
+
+    def _end_span(self) -> None:
+        if self._span is not None:
+            bin_, begin, end = self._span
+            self._span = None
+            self.write("/truth/mission_time", {"bin": bin_, "begin": begin, "end": end}, end)
 
     def collision(self, collision: CollisionView) -> None:
         """A contact episode that should not be."""
