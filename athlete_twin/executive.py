@@ -21,6 +21,8 @@ CONTROL_PERIOD = 1.0 / 24.0
 """of the executive: ten physics ticks [s]"""
 TORQUE_FILTER = 0.1
 """time constant of the torque guard [s]"""
+RECOVERY = 0.03
+"""a joint that is beyond its limit when a sequence begins may go so much further: the way out must not be barred"""
 SETTLING_TIME = 1.0
 """at the end of each sequence, before it counts as completed [s]"""
 IMAGING_TIME = 0.5
@@ -65,6 +67,7 @@ class Executive:
     _queue: deque[CommandSequence] = field(default_factory=deque)
     _running: _Running | None = None
     _fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    _allowed_fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def busy(self) -> bool:
@@ -90,6 +93,7 @@ class Executive:
             self._running = _Running(sequence=sequence)
             self.state, self.sequence_id, self.command_index = "executing", sequence.sequence_id, 0
             self._fraction = np.abs(sensed.torques) / self.kin.spec.torque_limits
+            self._allowed_fraction = np.maximum(sequence.max_torque_fraction, self._fraction + RECOVERY)
         try:
             self._guard(self._running, sensed)
             return self._advance(self._running, sensed)
@@ -150,9 +154,9 @@ class Executive:
         spec = self.kin.spec
         fraction = np.abs(sensed.torques) / spec.torque_limits
         self._fraction += (fraction - self._fraction) * min(1.0, CONTROL_PERIOD / TORQUE_FILTER)
-        worst = np.unravel_index(np.argmax(self._fraction), self._fraction.shape)
+        worst = np.unravel_index(np.argmax(self._fraction - self._allowed_fraction), self._fraction.shape)
         leg, joint = int(worst[0]), int(worst[1])
-        if self._fraction[leg, joint] > run.sequence.max_torque_fraction:
+        if (self._fraction > self._allowed_fraction).any():
             raise MoveFailedError(
                 "torque_limit",
                 f"{spec.joint_names[joint]} of leg {leg + 1} at {100 * self._fraction[leg, joint]:.0f} % of its limit, "

@@ -100,6 +100,7 @@ class GroundAgent:
         self._extra_lift = 0.0
         self._attempts = 0
         self._lowerings = 0
+        self._behind = 0.0
         self._surveyed = config.fusion_method == "flat"
         self._forced_leg: int | None = None
         self._forced_xy: Vec2 | None = None
@@ -211,6 +212,9 @@ class GroundAgent:
             self.steps_taken += 1
             self.stepped[sent.plan.leg] += 1
             self.last_plan = sent.plan
+            regular = stride(self.spec, self.config.step.gait) / LEGS
+            advance = float(np.linalg.norm(sent.plan.shift.translation_in_hex[:2]))
+            self._behind = max(0.0, self._behind + regular - advance)
             self._refused, self._extra_lift, self._attempts, self._lowerings = [], 0.0, 0, 0
         self._belief = self._filter.update(self._telemetry)
         for t in sorted({p.t for p in sent.pairs}):
@@ -277,6 +281,7 @@ class GroundAgent:
                 leg=leg,
                 heading=heading,
                 remaining=remaining,
+                behind=self._behind,
                 footfall_xy=self._forced_xy,
                 refused_xy=np.array(self._refused).reshape(-1, 2),
                 extra_lift=self._extra_lift,

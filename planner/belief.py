@@ -17,6 +17,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import Telemetry
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS
+from athlete_twin.model.statics import stance_loads
 from planner.perception.localise import WheelFitConfig, fit_wheels
 from planner.sag.sag_model import AIRBORNE, FootSprings, SagSolution, solve_sag
 
@@ -36,6 +37,9 @@ class Belief:
     planted: PerLegFlag
     loads: PerLeg
     """vertical, from the contact springs, shape (6,) [N]"""
+    interaction: Wheels
+    """forces of the ground on the wheels beyond the zero-interaction ones: legs that work against each other, from the
+    measured torques, in hex, shape (6, 3) [N]; zero unless all wheels stand"""
     fit_rmse: float
     """how well wheels and pose agree [m]"""
 
@@ -107,8 +111,20 @@ class BeliefFilter:
             contacts_in_world=self._contacts.copy(),
             planted=self._planted.copy(),
             loads=loads,
+            interaction=self._interaction(telemetry, gravity),
             fit_rmse=rmse,
         )
+
+    def _interaction(self, telemetry: Telemetry, gravity: Vec3) -> Wheels:
+        if not self._planted.all():
+            return np.zeros((LEGS, 3))
+        measured = np.array(
+            [self._kin.ground_force(leg, telemetry.joints, telemetry.torques[leg], gravity) for leg in range(LEGS)]
+        )
+        ideal, _ = stance_loads(
+            self._kin, telemetry.joints, supporting=self._planted, gravity_in_hex=gravity, payload_kg=self._payload
+        )
+        return np.asarray(measured - ideal)
 
     def _loads(self, joints: Joints, gravity: Vec3, planted: PerLegFlag) -> PerLeg:
         solution = self.stance(joints, gravity, planted)

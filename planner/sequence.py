@@ -30,10 +30,16 @@ def step_commands(plan: StepPlan) -> list[Command]:
 
 def shift_commands(shift: BodyShift) -> list[Command]:
     """The chassis shift, if it is worth a command."""
-    size = max(float(np.abs(shift.translation_in_hex).max()), float(np.abs(shift.rotvec_in_hex).max()))
-    if size < SMALLEST_SHIFT:
+    parts = (shift.translation_in_hex, shift.rotvec_in_hex, shift.wheel_offsets_in_hex)
+    if max(float(np.abs(part).max()) for part in parts) < SMALLEST_SHIFT:
         return []
-    return [BodyMove(translation_in_hex=shift.translation_in_hex, rotvec_in_hex=shift.rotvec_in_hex)]
+    return [
+        BodyMove(
+            translation_in_hex=shift.translation_in_hex,
+            rotvec_in_hex=shift.rotvec_in_hex,
+            wheel_offsets_in_hex=shift.wheel_offsets_in_hex,
+        )
+    ]
 
 
 def lower_commands(leg: int, axle_in_hex: Vec3, contact_load: float) -> list[Command]:

@@ -22,6 +22,7 @@ from planner.belief import Belief
 from planner.gait.skeleton import GaitConfig, shift_per_step
 from planner.gait.step_plan import BodyShift
 from planner.motion.collision import BodyCollision, CollisionConfig
+from planner.sag.sag_model import FootSprings
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import StabilityConfig
 
@@ -40,18 +41,25 @@ class ShiftLimits:
     """[rad]"""
     max_torque_fraction: float = 0.8
     """of any joint, whichever leg is lifted at the end of the shift, by rigid statics: compliance takes its share"""
+    relax_gain: float = 0.7
+    """of the believed stretch of the feet's springs by interaction forces that one shift takes back; 0 for none"""
+    max_relax: float = 0.03
+    """[m]"""
     level_deck_deg: float = 0.0
     """tilt that is left alone [deg]"""
 
 
 def plan_shift(
     kin: Kinematics,
+    springs: FootSprings,
     belief: Belief,
     *,
+    leg: int,
     landed_joints: Joints,
     contacts_in_world: Wheels,
     heading: Vec2,
     remaining: float,
+    behind: float,
     filled: HeightGrid,
     gait: GaitConfig,
     stability: StabilityConfig,
@@ -61,9 +69,10 @@ def plan_shift(
 ) -> BodyShift:
     """The shift after a step; its fraction is 0 where only height and attitude can be mended, or not even these."""
     pose = belief.world_from_hex
-    wanted = shift_per_step(kin.spec, gait, remaining)
+    wanted = shift_per_step(kin.spec, gait, remaining=remaining, behind=behind)
     body = BodyCollision(kin.spec, filled, collision)
     wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
+    offsets = _relaxing(springs, belief, leg, limits)
     rise, turn = _mending(kin, belief, contacts_in_world, limits)
     for fraction in FRACTIONS:
         for mend in (1.0, 0.0):
@@ -71,9 +80,26 @@ def plan_shift(
             end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation + move)
             if _allowed(kin, end, wheels_in_world, contacts_in_world, stability, limits, body, payload_kg):
                 return BodyShift(
-                    translation_in_hex=pose.rotation.T @ move, rotvec_in_hex=pose.rotation.T @ (mend * turn), fraction=fraction
+                    translation_in_hex=pose.rotation.T @ move,
+                    rotvec_in_hex=pose.rotation.T @ (mend * turn),
+                    wheel_offsets_in_hex=offsets,
+                    fraction=fraction,
                 )
-    return BodyShift(translation_in_hex=np.zeros(3), rotvec_in_hex=np.zeros(3), fraction=0.0)
+    return BodyShift(
+        translation_in_hex=np.zeros(3), rotvec_in_hex=np.zeros(3), wheel_offsets_in_hex=np.zeros((LEGS, 3)), fraction=0.0
+    )
+
+
+def _relaxing(springs: FootSprings, belief: Belief, leg: int, limits: ShiftLimits) -> Wheels:
+    """Shifts of the wheels that take back the interaction forces, [SunSpiral2012] s5.1.1: feet shall not fight.
+
+    Position-controlled legs with stuck feet keep whatever stretch each landing left; the torques tell of it. A wheel
+    that the ground pushes by F more than it should goes F / k that way. The leg that has just stepped is left alone.
+    """
+    stiffness = springs.stiffness_z[:, None] * np.array([springs.lateral_ratio, springs.lateral_ratio, 1.0])
+    offsets = np.clip(limits.relax_gain * belief.interaction / stiffness, -limits.max_relax, limits.max_relax)
+    offsets[leg] = 0.0
+    return np.asarray(offsets)
 
 
 def _mending(kin: Kinematics, belief: Belief, contacts: Wheels, limits: ShiftLimits) -> tuple[float, np.ndarray]:

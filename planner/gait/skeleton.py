@@ -63,9 +63,17 @@ def stride(spec: RobotSpec, config: GaitConfig) -> float:
     return spec.stride * config.stride_fraction
 
 
-def shift_per_step(spec: RobotSpec, config: GaitConfig, remaining: float) -> float:
-    """Advance of the chassis after one step, `remaining` metres before the goal [m]."""
-    return min(stride(spec, config) / LEGS, remaining)
+def shift_per_step(spec: RobotSpec, config: GaitConfig, *, remaining: float, behind: float) -> float:
+    """Advance of the chassis after one step [m].
+
+    Args:
+        spec: the drawings.
+        config: of the gait.
+        remaining: distance to the goal [m].
+        behind: what earlier shifts were cut short by; at most half a shift of it is made up for at a time [m].
+    """
+    regular = stride(spec, config) / LEGS
+    return min(regular + min(behind, 0.5 * regular), remaining)
 
 
 def nominal_footfall(

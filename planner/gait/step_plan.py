@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import LegPath, Vec3
+from athlete_twin.geometry.arrays import LegPath, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 
 
@@ -18,6 +18,8 @@ class BodyShift:
     """[m]"""
     rotvec_in_hex: Vec3
     """[rad]"""
+    wheel_offsets_in_hex: Wheels
+    """by which each axle moves meanwhile, so that legs stop working against each other, shape (6, 3) [m]"""
     fraction: float
     """of the wanted shift that reach, stability and terrain allow"""
 

@@ -121,6 +121,8 @@ class StepRequest:
     """direction of travel in world"""
     remaining: float
     """distance of the chassis from its goal [m]"""
+    behind: float = 0.0
+    """what earlier chassis shifts were cut short by [m]"""
     footfall_xy: Vec2 | None = None
     """the operator's own choice; the gait's when None [m]"""
     refused_xy: Points2 | None = None
@@ -358,8 +360,8 @@ def _try(
         refused["landed_load"] += 1
         return None
     shift = plan_shift(
-        kin, belief, landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
-        remaining=request.remaining, filled=ground.filled, gait=config.gait, stability=config.stability,
+        kin, springs, belief, leg=leg, landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
+        remaining=request.remaining, behind=request.behind, filled=ground.filled, gait=config.gait, stability=config.stability,
         limits=config.shift, collision=config.collision, payload_kg=payload_kg,
     )  # fmt: skip
     poses, joints = [belief.world_from_hex], [belief.joints]
