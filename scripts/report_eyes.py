@@ -40,17 +40,18 @@ def eyes_figure(trial: TrialRecording) -> bytes | None:
     if seen is None:
         return None
     pair, depth = seen.pair, seen.depth
-    figure, axes = subplots(1, 4, figsize=(13, 3.1))
-    for ax, image, title in ((axes[0], pair.left, "Left eye"), (axes[1], pair.right, "Right eye")):
+    figure, grid = subplots(2, 2, figsize=(10.5, 8.6))
+    axes = grid.ravel()
+    for ax, image, title in ((axes[0], pair.left, f"Left eye of {pair.camera} at {pair.t:.0f} s"), (axes[1], pair.right, "Right eye")):
         ax.imshow(image, cmap="gray", vmin=0, vmax=255)
         ax.set_title(title)
     known = depth.depth[np.isfinite(depth.depth)]
     near, far = np.percentile(known, [2, 98]) if len(known) else (0.5, 5.0)
     shown = axes[2].imshow(depth.depth, cmap="viridis_r", vmin=near, vmax=far)
-    axes[2].set(title="Depth, matched")
+    axes[2].set_title("Depth, matched by the ground")
     axes[2].set_facecolor("#d9dbde")
-    bar = figure.colorbar(shown, ax=axes[2], location="bottom", shrink=0.85, pad=0.02, aspect=30)
-    bar.set_label("m (grey: no match)", color=MUTED)
+    bar = figure.colorbar(shown, ax=axes[2], location="bottom", shrink=0.7, pad=0.01, aspect=45)
+    bar.set_label("distance along the boresight [m]; grey: no match", color=MUTED)
     bar.outline.set_visible(False)
     mask = seen.masked.mask
     overlay = np.repeat(depth.grey[..., None].astype(float) / 255.0, 3, axis=2)

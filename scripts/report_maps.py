@@ -14,9 +14,9 @@ from athlete_twin.world.terrain import Rock
 
 BORDER = 1.0
 """shown beyond the outermost wheels and the goal [m]"""
-RELIEF = (-0.25, 0.65)
+RELIEF = (-0.30, 0.60)
 """heights over the start's ground between which the tint runs [m]"""
-TINTS = ("#6f6a63", "#a39a8c", "#cfc6b6", "#ece5d8", "#fbf7f0")
+TINTS = ("#8d8780", "#c9c1b4", "#e2dacb", "#f1eadc", "#fffaf0")
 """of the ground from low to high: greys of regolith, so that marks in colour stand out"""
 SUN = (315.0, 38.0)
 """azimuth and elevation of the light in the maps, not the scenario's: relief reads best lit from the upper left [deg]"""
@@ -126,7 +126,7 @@ def _extent(grid: HeightGrid) -> tuple[float, float, float, float]:
 
 def _ground(axes: Any, grid: HeightGrid, *, datum: float) -> None:
     """Shaded relief; unseen cells grey."""
-    from matplotlib.colors import LinearSegmentedColormap, LightSource, Normalize
+    from matplotlib.colors import LightSource, LinearSegmentedColormap, Normalize
 
     heights = grid.heights.T - datum
     known = np.isfinite(heights)
@@ -134,7 +134,7 @@ def _ground(axes: Any, grid: HeightGrid, *, datum: float) -> None:
     filled = np.where(known, heights, np.median(heights[known]) if known.any() else 0.0)
     shade = LightSource(*SUN).hillshade(filled, vert_exag=1.6, dx=grid.cell, dy=grid.cell)
     tint = LinearSegmentedColormap.from_list("regolith", TINTS)(Normalize(*RELIEF)(filled))[..., :3]
-    picture = np.clip(tint * (0.45 + 0.75 * shade[..., None]), 0.0, 1.0)
+    picture = np.clip(tint * (0.42 + 0.85 * shade[..., None]), 0.0, 1.0)
     picture[~known] = (0.85, 0.86, 0.87)
     axes.imshow(picture, origin="lower", extent=_extent(grid), interpolation="bilinear" if known.all() else "nearest")
 

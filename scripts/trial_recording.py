@@ -259,10 +259,18 @@ def _proposals(lines: dict[str, list[Recorded]]) -> tuple[Shown, ...]:
         decision, decided = answers.get(c["index"], ("", float("nan")))
         out.append(
             Shown(
-                index=c["index"], t=shown.t, kind=c["kind"], leg=c["leg"], footfall=np.array(c["footfall_in_world"]),
-                text=c["text"], margin=c["predicted_margin"], sag=c["predicted_sag"],
-                world_from_hex=_pose(chassis.content), decision=decision, decided=decided,
-            )  # fmt: skip
+                index=c["index"],
+                t=shown.t,
+                kind=c["kind"],
+                leg=c["leg"],
+                footfall=np.array(c["footfall_in_world"]),
+                text=c["text"],
+                margin=c["predicted_margin"],
+                sag=c["predicted_sag"],
+                world_from_hex=_pose(chassis.content),
+                decision=decision,
+                decided=decided,
+            )
         )
     return tuple(out)
 
