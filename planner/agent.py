@@ -123,7 +123,7 @@ class GroundAgent:
         """How often every leg has stepped."""
         return min((self.stepped[leg] for leg in range(LEGS)), default=0)
 
-    def observe(self, message: Message, t: float) -> None:
+    def observe(self, message: Message, t: float) -> None:  # noqa: ARG002, messages carry the time that matters here
         """Take one message that came down and arrived at mission time `t` [s]."""
         if isinstance(message, Telemetry):
             self._telemetry = message
@@ -375,6 +375,7 @@ class GroundAgent:
         footfalls: FootfallMap = ground.footfalls
         x, y = plan.footfall_in_world[:2]
         shift = 100 * float(np.linalg.norm(plan.shift.translation_in_hex[:2]))
+        cut = f" (cut: {plan.shift.cut_by})" if plan.shift.cut_by else ""
         self._plan = plan
         self._proposal = Proposal(
             index=self._next_proposal(),
@@ -391,7 +392,7 @@ class GroundAgent:
             world_from_hex=belief.world_from_hex,
             predicted_margin=min(plan.swing_margin, plan.landed_margin),
             predicted_sag=plan.sag,
-            text=f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, then the chassis shifts by {shift:.0f} cm",
+            text=f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, then the chassis shifts by {shift:.0f} cm{cut}",
         )
         return self._proposal
 

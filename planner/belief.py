@@ -44,8 +44,8 @@ class Belief:
     """how well wheels and pose agree [m]"""
 
     def gravity_in_hex(self) -> Vec3:
-        """[m/s2]"""
-        return self.world_from_hex.rotation.T @ np.array([0.0, 0.0, -GRAVITY])
+        """Gravity as the chassis stands [m/s2]."""
+        return np.asarray(self.world_from_hex.rotation.T @ np.array([0.0, 0.0, -GRAVITY]))
 
 
 class BeliefFilter:

@@ -80,7 +80,7 @@ class Eyes:
                     Look(
                         camera=pair.camera, t=pair.t, masked=depth, world_from_camera=world_from_camera,
                         alignment=alignment, cells=cells,
-                    )  # fmt: skip
+                    )
                 )
         return correction
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Joints, Vec2, Wheels
+from athlete_twin.geometry.arrays import Joints, PerLeg, Vec2, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -26,6 +26,8 @@ from planner.sag.sag_model import FootSprings
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import StabilityConfig
 
+DOWN = np.array([0.0, 0.0, -1.0])
+TORQUE_SLACK = 0.02
 FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
 
 
@@ -73,20 +75,33 @@ def plan_shift(
     body = BodyCollision(kin.spec, filled, collision)
     wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
     offsets = _relaxing(springs, belief, leg, limits)
-    rise, turn = _mending(kin, belief, contacts_in_world, limits)
+    rise, turn = _mending(kin, belief, limits)
+    # Where the stance itself asks for more torque than the limit, a shift may go on asking for as much.
+    standing = _worst_torques(kin, pose, wheels_in_world, payload_kg)
+    allowed = np.full(LEGS, limits.max_torque_fraction) if standing is None else np.maximum(
+        limits.max_torque_fraction, standing + TORQUE_SLACK
+    )
+    refused = ""
     for fraction in FRACTIONS:
         for mend in (1.0, 0.0):
             move = np.append(fraction * wanted * heading, mend * rise)
             end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation + move)
-            if _allowed(kin, end, wheels_in_world, contacts_in_world, stability, limits, body, payload_kg):
+            refusal = _refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg)
+            if not refusal:
                 return BodyShift(
                     translation_in_hex=pose.rotation.T @ move,
                     rotvec_in_hex=pose.rotation.T @ (mend * turn),
                     wheel_offsets_in_hex=offsets,
                     fraction=fraction,
+                    cut_by=refused,
                 )
+            refused = refused or refusal
     return BodyShift(
-        translation_in_hex=np.zeros(3), rotvec_in_hex=np.zeros(3), wheel_offsets_in_hex=np.zeros((LEGS, 3)), fraction=0.0
+        translation_in_hex=np.zeros(3),
+        rotvec_in_hex=np.zeros(3),
+        wheel_offsets_in_hex=np.zeros((LEGS, 3)),
+        fraction=0.0,
+        cut_by=refused,
     )
 
 
@@ -102,7 +117,7 @@ def _relaxing(springs: FootSprings, belief: Belief, leg: int, limits: ShiftLimit
     return np.asarray(offsets)
 
 
-def _mending(kin: Kinematics, belief: Belief, contacts: Wheels, limits: ShiftLimits) -> tuple[float, np.ndarray]:
+def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits) -> tuple[float, np.ndarray]:
     """Height to rise by [m] and rotation vector in world [rad] that bring the chassis back to its regular pose."""
     pose = belief.world_from_hex
     unsagged = pose.rotate(kin.wheels_in_hex(belief.motors))[:, 2]
@@ -118,31 +133,47 @@ def _mending(kin: Kinematics, belief: Belief, contacts: Wheels, limits: ShiftLim
     return rise, level
 
 
-def _allowed(
+def _refusal(
     kin: Kinematics,
     end: SE3,
     wheels: Wheels,
     contacts: Wheels,
     stability: StabilityConfig,
-    limits: ShiftLimits,
+    allowed: PerLeg,
     body: BodyCollision,
     payload: float,
-) -> bool:
-    hex_from_world = end.inverse()
-    down = hex_from_world.rotate(np.array([0.0, 0.0, -1.0]))
-    joints, ok = all_legs_ik(kin.spec, hex_from_world.apply(wheels), last_link_in_hex=down)
+) -> str:
+    """What forbids the chassis to stand there; empty when nothing does. `allowed` are torque fractions by lifted leg."""
+    joints, ok = _stance_at(kin, end, wheels)
     if not ok.all():
-        return False
+        return f"reach of leg {int(np.argmin(ok)) + 1}"
     com = end.apply(kin.com_in_hex(joints, payload))
     if cps_margin(com, contacts) < stability.min_margin:
-        return False
+        return "CPS margin"
     for leg in range(LEGS):
-        supporting = np.arange(LEGS) != leg
-        if support_margin(com, contacts[supporting]) < stability.min_margin:
-            return False
-        torque = peak_torque_fraction(
-            kin, joints, supporting=supporting, gravity_in_hex=GRAVITY * down, payload_kg=payload
-        )
-        if torque > limits.max_torque_fraction:
-            return False
-    return body.is_free(joints, end)
+        if support_margin(com, np.delete(contacts, leg, axis=0)) < stability.min_margin:
+            return f"margin with leg {leg + 1} lifted"
+    torques = _worst_torques(kin, end, wheels, payload)
+    if torques is not None and (torques > allowed).any():
+        return f"torque with leg {int(np.argmax(torques - allowed)) + 1} lifted"
+    return body.first_collision(joints, end) or ""
+
+
+def _stance_at(kin: Kinematics, world_from_hex: SE3, wheels: Wheels) -> tuple[Joints, np.ndarray]:
+    hex_from_world = world_from_hex.inverse()
+    return all_legs_ik(kin.spec, hex_from_world.apply(wheels), last_link_in_hex=hex_from_world.rotate(DOWN))
+
+
+def _worst_torques(kin: Kinematics, world_from_hex: SE3, wheels: Wheels, payload: float) -> PerLeg | None:
+    """Peak torque fraction with each leg in turn lifted, by rigid statics, shape (6,); None where a leg does not reach."""
+    joints, ok = _stance_at(kin, world_from_hex, wheels)
+    if not ok.all():
+        return None
+    gravity = GRAVITY * world_from_hex.inverse().rotate(DOWN)
+    legs = np.arange(LEGS)
+    return np.array(
+        [
+            peak_torque_fraction(kin, joints, supporting=legs != leg, gravity_in_hex=gravity, payload_kg=payload)
+            for leg in legs
+        ]
+    )

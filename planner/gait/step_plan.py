@@ -22,6 +22,8 @@ class BodyShift:
     """by which each axle moves meanwhile, so that legs stop working against each other, shape (6, 3) [m]"""
     fraction: float
     """of the wanted shift that reach, stability and terrain allow"""
+    cut_by: str
+    """what forbade the whole of it, height and attitude included; empty when nothing did"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

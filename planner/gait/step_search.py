@@ -184,7 +184,7 @@ def search_step(
     for place in places[order[: config.search.tried]]:
         plan = _try(
             kin, springs, belief, ground, request, place,
-            sag=sag, swing_pose=swing_pose, lift_in_hex=lift_in_hex, q_break=q_break, q_lift=q_lift, airborne=airborne,
+            sag=sag, swing_pose=swing_pose, lift_in_hex=lift_in_hex, q_break=q_break, q_lift=q_lift,
             collision=collision, torque=torque, config=config, payload_kg=payload_kg, rng=rng, refused=refused,
         )  # fmt: skip
         if plan is not None:
@@ -314,7 +314,6 @@ def _try(
     lift_in_hex: Vec3 | None,
     q_break: np.ndarray,
     q_lift: np.ndarray,
-    airborne: bool,
     collision: LegCollision,
     torque: float,
     config: StepConfig,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -72,7 +73,7 @@ def without_hanging_points(
         chain = [hex_from_link[f"leg{leg + 1}_{n}"].translation for n in joints] + [
             hex_from_link[f"wheel{leg + 1}"].translation
         ]
-        for k, (a, b) in enumerate(zip(chain[:-1], chain[1:], strict=True)):
+        for k, (a, b) in enumerate(pairwise(chain)):
             limit = config.last_link_distance if k == len(chain) - 2 else config.distance
             near |= _distance_to_segment(points, a, b) < limit * spec.wheel.radius
     reach = float(np.linalg.norm(spec.hips_in_hex[0])) + sum(float(np.linalg.norm(j.offset)) for j in spec.joints)
