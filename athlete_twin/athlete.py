@@ -285,14 +285,14 @@ class Athlete:
                     Receipt(
                         seq=self._next("receipt"), robot_id=self.robot_id, t=self.t, sequence_id=e.sequence_id,
                         command_index=e.command_index, status=e.status, text=e.text,
-                    )  # fmt: skip
+                    )
                 )
             elif e.kind == "fault":
                 out.append(
                     Fault(
                         seq=self._next("fault"), robot_id=self.robot_id, t=self.t, code=e.status, text=e.text,
                         sequence_id=e.sequence_id, command_index=e.command_index, leg=e.leg,
-                    )  # fmt: skip
+                    )
                 )
             elif e.request is not None:
                 out.extend(self._capture(e))
@@ -326,7 +326,7 @@ class Athlete:
             StereoPair(
                 seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=event.request.binning,
                 left=left, right=right, exposure=exposure, state=state,
-            )  # fmt: skip
+            )
             for name, (left, right, exposure) in shots.items()
         ]
 

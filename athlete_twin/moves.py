@@ -56,7 +56,7 @@ Move = Generator[Joints, Sensed, None]
 def gravity_in_hex(attitude_rpy: Vec3) -> Vec3:
     """Gravity from the measured roll and pitch [m/s2]."""
     world_from_hex = SE3.from_rpy(float(attitude_rpy[0]), float(attitude_rpy[1]), 0.0)
-    return world_from_hex.rotation.T @ np.array([0.0, 0.0, -GRAVITY])
+    return np.asarray(world_from_hex.rotation.T @ np.array([0.0, 0.0, -GRAVITY]))
 
 
 def vertical_load(kin: Kinematics, leg: int, sensed: Sensed) -> float:
@@ -175,7 +175,7 @@ def _solve(kin: Kinematics, leg: int, wheel_in_hex: Vec3, last_link_in_hex: Vec3
     q, ok = leg_ik(kin.spec, leg, wheel_in_hex[None], last_link_in_hex=last_link_in_hex)
     if not ok[0]:
         raise MoveFailedError("unreachable", f"leg {leg + 1} cannot put its wheel at {np.round(wheel_in_hex, 3)} in hex", leg)
-    return q[0]
+    return np.asarray(q[0])
 
 
 def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, direction: Vec3) -> None:

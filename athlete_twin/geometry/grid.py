@@ -39,7 +39,7 @@ class HeightGrid:
         return (int(self.heights.shape[0]), int(self.heights.shape[1]))
 
     def centres(self) -> tuple[np.ndarray, np.ndarray]:
-        """x and y of the cells' centres, shapes (nx,) and (ny,) [m]."""
+        """Coordinates x and y of the cells' centres, shapes (nx,) and (ny,) [m]."""
         nx, ny = self.shape
         return self.origin_x + self.cell * np.arange(nx), self.origin_y + self.cell * np.arange(ny)
 

@@ -108,8 +108,8 @@ class SE3:
 
     def apply(self, points: AnyPoints3) -> AnyPoints3:
         """Points, any leading shape, taken to the outer frame [m]."""
-        return np.asarray(points) @ self.rotation.T + self.translation
+        return np.asarray(np.asarray(points) @ self.rotation.T + self.translation)
 
     def rotate(self, vectors: AnyPoints3) -> AnyPoints3:
         """Directions or forces taken to the outer frame, without the shift."""
-        return np.asarray(vectors) @ self.rotation.T
+        return np.asarray(np.asarray(vectors) @ self.rotation.T)

@@ -44,7 +44,7 @@ class Kinematics:
 
     def q_index(self, leg: int) -> np.ndarray:
         """Places of one leg's joints in Pinocchio's configuration vector, shape (dof,)."""
-        return self._q_of[leg].copy()
+        return np.array(self._q_of[leg])
 
     def pin_q(self, joints: Joints) -> np.ndarray:
         """Pinocchio's configuration vector of joint angles (6, dof) [rad]."""

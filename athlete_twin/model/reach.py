@@ -70,10 +70,8 @@ def leg_ik(
     base = np.zeros(len(points))
     upper_length = float(spec.joints[pitch[1]].offset[0])
     if len(pitch) == 4:
-        if hip_pitch is None:
-            first = _first_thigh(spec, reach, out, down, upper_length, pitch)
-        else:
-            first = np.full(len(points), hip_pitch)
+        by_rule = hip_pitch is None
+        first = _first_thigh(spec, reach, out, down, upper_length, pitch) if by_rule else np.full(len(points), hip_pitch)
         base += first
         out, down = out - upper_length * np.cos(first), down - upper_length * np.sin(first)
         q[:, pitch[0]] = first

@@ -8,7 +8,6 @@ collision record; wheels carry no Bullet contact, since the tyre is a force, and
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pinocchio as pin

@@ -32,7 +32,8 @@ class Servos:
         step = rate_limits * dt
         self.motors += np.clip(commands - self.motors, -step, step)
         np.clip(self.motors, links - self._slack, links + self._slack, out=self.motors)
-        return np.clip(self.stiffness * (self.motors - links) - self.damping * link_rates, -self.limits, self.limits)
+        torques = self.stiffness * (self.motors - links) - self.damping * link_rates
+        return np.asarray(np.clip(torques, -self.limits, self.limits))
 
     def torques(self, links: Joints) -> Joints:
         """Torque carried by the springs [N m]."""

@@ -76,7 +76,8 @@ class Tyres:
 
     def hull_depths(self, axles: np.ndarray, axes: np.ndarray) -> tuple[PerLeg, Wheels]:
         """How deep each unloaded wheel's hull is inside the ground, along its normal [m], and where, (6, 3) [m]."""
-        return _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._grid, HULL_ANGLES)
+        depths, places = _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._grid, HULL_ANGLES)
+        return depths, places
 
 
 @numba.njit(cache=True)
