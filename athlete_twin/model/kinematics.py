@@ -79,11 +79,12 @@ class Kinematics:
 
     def com_in_hex(self, joints: Joints, payload_kg: float = 0.0) -> Vec3:
         """Centre of mass in hex [m]; a payload sits on the deck plane's centre."""
-        com = np.asarray(pin.centerOfMass(self.pin_model, self.pin_data, self.pin_q(joints))).copy()
-        if payload_kg == 0.0:
-            return com
-        mass, top = self.spec.mass, np.array([0.0, 0.0, self.spec.top_in_hex])
-        return np.asarray((mass * com + payload_kg * top) / (mass + payload_kg))
+        legs = np.asarray(pin.centerOfMass(self.pin_model, self.pin_data, self.pin_q(joints)))
+        # Pinocchio counts what moves; the chassis, which it holds fixed, is added here.
+        chassis, moving = self.pin_model.inertias[0], float(self.pin_data.mass[0])
+        top = np.array([0.0, 0.0, self.spec.top_in_hex])
+        moment = moving * legs + chassis.mass * np.asarray(chassis.lever) + payload_kg * top
+        return np.asarray(moment / (moving + chassis.mass + payload_kg))
 
     def link_poses(self, joints: Joints) -> dict[str, SE3]:
         """`hex_from_link` of every link by its URDF name."""

@@ -25,6 +25,14 @@ def test_mass_is_that_of_the_drawings(make_body, robot):
     assert make_body(robot).mass == pytest.approx(load_spec(robot).mass, abs=1e-6)
 
 
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_centre_of_mass_of_twin_and_drawings_agree(make_body, robot):
+    body = make_body(robot)
+    believed = kinematics(robot).com_in_hex(body.joints)
+    true = body.world_from_hex().inverse().apply(body.com_in_world())
+    assert np.linalg.norm(true - believed) < 1e-6
+
+
 def test_sdm_b_sags_by_the_root_of_its_tyres_quadratic(make_body):
     body = make_body("sdm_b")
     rest(body, body.joints.copy())

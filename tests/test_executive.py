@@ -1,0 +1,203 @@
+"""The executive keeps its guards: every fault has a cause here. A fake body moves as commanded and feels what it is told."""
+
+import numpy as np
+import pytest
+
+from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
+from athlete_twin.messages import BodyMove, CommandSequence, ImageRequest, JointMove, LegMove, Stop, Wait
+from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.spec import load_spec
+from athlete_twin.model.stance import regular_stance
+from athlete_twin.moves import Sensed
+
+ROBOTS = ("sdm_b", "t12")
+
+
+def executive(robot: str = "sdm_b") -> Executive:
+    return Executive(kin=kinematics(robot), setpoint=regular_stance(load_spec(robot)))
+
+
+def sequence(*commands, number: int = 1, **limits) -> CommandSequence:
+    return CommandSequence(seq=number, robot_id="sdm_b", t=0.0, sequence_id=number, commands=commands, **limits)
+
+
+def run(robot: Executive, *, load: float = 0.0, torque: float = 0.0, tilt: float = 0.0, most: int = 4000) -> list[Event]:
+    """Ticks until idle; every wheel carries `load` [N], every joint feels `torque` of its limit on top."""
+    spec, kin, events = robot.kin.spec, robot.kin, []
+    for _ in range(most):
+        joints = robot.setpoint
+        gravity = np.array([0.0, 0.0, -9.81])
+        force = np.tile([0.0, 0.0, load], (6, 1))
+        contacts = kin.wheels_in_hex(joints) - [0.0, 0.0, spec.wheel.radius]
+        torques = kin.gravity_torques(joints, gravity, force, contacts) + torque * spec.torque_limits
+        events += robot.tick(Sensed(joints=joints, torques=torques, attitude_rpy=np.array([tilt, 0.0, 0.0])))
+        if not robot.busy:
+            return events
+    raise AssertionError("the executive never became idle")
+
+
+def faults(events: list[Event]) -> list[str]:
+    return [e.status for e in events if e.kind == "fault"]
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_lift_goes_straight_up_within_the_joint_speeds(robot):
+    e = executive(robot)
+    start = e.kin.leg_wheel(2, e.setpoint[2]).translation
+    e.accept(sequence(LegMove(leg=2, wheel_in_hex=start + [0.0, 0.0, 0.2], guard="break_contact")))
+    before, places = e.setpoint, []
+    while e.busy:
+        e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(e.setpoint), attitude_rpy=np.zeros(3)))
+        assert np.abs(e.setpoint - before).max() <= e.kin.spec.speed_unloaded * CONTROL_PERIOD + 1e-9
+        before = e.setpoint
+        places.append(e.kin.leg_wheel(2, e.setpoint[2]).translation)
+        if e.state == "fault":
+            break
+    places = np.array(places)
+    assert np.abs(places[:, :2] - start[:2]).max() < 1e-6
+    assert (np.diff(places[:, 2]) > -1e-9).all()
+
+
+def test_a_descent_stops_at_the_load_asked_for():
+    e = executive()
+    wheel = e.kin.leg_wheel(0, e.setpoint[0]).translation
+    e.accept(sequence(LegMove(leg=0, wheel_in_hex=wheel - [0.0, 0.0, 0.1], guard="contact", contact_load=500.0)))
+    events = []
+    for _ in range(2000):
+        z = e.kin.leg_wheel(0, e.setpoint[0]).translation[2]
+        pressed = max(0.0, wheel[2] - 0.04 - z) * 20e3  # ground 4 cm below, 20 kN/m
+        gravity = np.array([0.0, 0.0, -9.81])
+        force = np.zeros((6, 3))
+        force[0, 2] = pressed
+        contacts = e.kin.wheels_in_hex(e.setpoint) - [0.0, 0.0, e.kin.spec.wheel.radius]
+        torques = e.kin.gravity_torques(e.setpoint, gravity, force, contacts)
+        events += e.tick(Sensed(joints=e.setpoint, torques=torques, attitude_rpy=np.zeros(3)))
+        if not e.busy:
+            break
+    assert faults(events) == []
+    assert 500.0 <= pressed <= 560.0
+    assert e.phases[0] == "stance"
+
+
+def test_a_descent_into_nothing_is_a_fault():
+    e = executive()
+    wheel = e.kin.leg_wheel(0, e.setpoint[0]).translation
+    e.accept(sequence(LegMove(leg=0, wheel_in_hex=wheel - [0.0, 0.0, 0.1], guard="contact", contact_load=500.0)))
+    assert faults(run(e)) == ["no_contact"]
+    assert e.state == "fault"
+
+
+def test_a_lift_that_still_carries_is_a_fault():
+    e = executive()
+    wheel = e.kin.leg_wheel(0, e.setpoint[0]).translation
+    e.accept(sequence(LegMove(leg=0, wheel_in_hex=wheel + [0.0, 0.0, 0.1], guard="break_contact")))
+    assert faults(run(e, load=800.0)) == ["contact_not_broken"]
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_what_is_out_of_reach_is_refused_before_anything_moves(robot):
+    e = executive(robot)
+    before = e.setpoint.copy()
+    e.accept(sequence(LegMove(leg=1, wheel_in_hex=np.array([9.0, 0.0, -1.0]))))
+    assert faults(run(e)) == ["unreachable"]
+    assert np.array_equal(e.setpoint, before)
+    e.accept(sequence(BodyMove(translation_in_hex=np.array([4.0, 0.0, 0.0])), number=2))
+    assert faults(run(e)) == ["unreachable"]
+    assert np.array_equal(e.setpoint, before)
+
+
+def test_a_way_point_beyond_a_joint_limit_names_the_joint():
+    e = executive()
+    q = e.setpoint[0].copy()
+    q[1] = 2.0
+    e.accept(sequence(JointMove(leg=0, waypoints=q[None])))
+    (fault,) = [event for event in run(e) if event.kind == "fault"]
+    assert fault.status == "unreachable"
+    assert "hip_pitch of leg 1 at 114.6 deg is beyond -90 to 90 deg" in fault.text
+
+
+def test_way_points_of_another_robot_are_a_bad_command():
+    e = executive()
+    e.accept(sequence(JointMove(leg=0, waypoints=np.zeros((1, 7)))))
+    assert faults(run(e)) == ["bad_command"]
+
+
+def test_torque_beyond_the_allowed_fraction_stops_the_sequence():
+    e = executive()
+    e.accept(sequence(Wait(duration=1.0), max_torque_fraction=0.5))
+    e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(e.setpoint), attitude_rpy=np.zeros(3)))
+    assert faults(run(e, torque=0.9)) == ["torque_limit"]
+
+
+def test_a_robot_beyond_its_torque_limit_may_still_be_led_out():
+    e = executive()
+    e.accept(sequence(Wait(duration=0.5), max_torque_fraction=0.5))
+    assert faults(run(e, torque=0.9)) == []
+
+
+def test_tilt_beyond_the_limit_stops_the_sequence():
+    e = executive()
+    e.accept(sequence(Wait(duration=1.0), max_tilt=0.2))
+    assert faults(run(e, tilt=0.3)) == ["tilt"]
+
+
+def test_a_fault_empties_the_queue_and_the_next_sequence_starts_afresh():
+    e = executive()
+    e.accept(sequence(LegMove(leg=1, wheel_in_hex=np.array([9.0, 0.0, -1.0])), number=1))
+    e.accept(sequence(Wait(duration=0.1), number=2))
+    events = run(e)
+    assert any(x.status == "cancelled" and x.sequence_id == 2 for x in events)
+    e.accept(sequence(Wait(duration=0.1), number=3))
+    events = run(e)
+    assert any(x.status == "completed" and x.sequence_id == 3 and x.command_index == -1 for x in events)
+    assert e.state == "idle"
+
+
+def test_stop_ends_motion_at_once_and_says_what_was_cancelled():
+    e = executive()
+    e.accept(sequence(BodyMove(translation_in_hex=np.array([0.3, 0.0, 0.0])), number=1))
+    e.accept(sequence(Wait(duration=0.1), number=2))
+    for _ in range(10):
+        e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(e.setpoint), attitude_rpy=np.zeros(3)))
+    at = e.setpoint.copy()
+    events = e.accept(Stop(seq=0, robot_id="sdm_b", t=0.0, reason="test"))
+    assert [x.status for x in events] == ["cancelled", "cancelled"]
+    e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(e.setpoint), attitude_rpy=np.zeros(3)))
+    assert np.array_equal(e.setpoint, at)
+    assert e.state == "stopped"
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_a_body_move_keeps_every_wheel_in_place(robot):
+    e = executive(robot)
+    wheels = e.kin.wheels_in_hex(e.setpoint)
+    shift, turn = np.array([0.10, -0.05, -0.04]), np.array([0.02, -0.03, 0.05])
+    e.accept(sequence(BodyMove(translation_in_hex=shift, rotvec_in_hex=turn)))
+    assert faults(run(e)) == []
+    from athlete_twin.geometry.se3 import SE3
+
+    moved = SE3.from_rotvec(turn, shift).apply(e.kin.wheels_in_hex(e.setpoint))
+    assert moved == pytest.approx(wheels, abs=1e-6)
+
+
+def test_wheel_offsets_move_only_their_wheel():
+    e = executive()
+    wheels = e.kin.wheels_in_hex(e.setpoint)
+    offsets = np.zeros((6, 3))
+    offsets[3] = [0.01, -0.02, 0.015]
+    e.accept(sequence(BodyMove(translation_in_hex=np.zeros(3), wheel_offsets_in_hex=offsets)))
+    assert faults(run(e)) == []
+    assert e.kin.wheels_in_hex(e.setpoint) == pytest.approx(wheels + offsets, abs=1e-6)
+
+
+def test_pictures_are_asked_for_after_standing_still():
+    e = executive()
+    e.accept(sequence(ImageRequest(cameras=("hazcam_1",))))
+    events = run(e)
+    assert [x.request.cameras for x in events if x.kind == "capture"] == [("hazcam_1",)]
+
+
+def test_a_full_queue_refuses_with_a_receipt():
+    e = executive()
+    statuses = [e.accept(sequence(Wait(duration=1.0), number=n))[0].status for n in range(10)]
+    assert statuses.count("failed") == 2
