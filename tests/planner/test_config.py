@@ -1,0 +1,63 @@
+"""Variants become configurations, and what is wrong in one is named with what would have worked."""
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from athlete_twin.assets import assets_root
+from athlete_twin.errors import ConfigError
+from athlete_twin.model.spec import load_spec
+from planner.config import CHOICES, planner_config
+
+SHIPPED = sorted(p.stem for p in (assets_root() / "variants").glob("*.toml"))
+
+
+def content(name: str) -> dict:
+    return tomllib.loads((Path(assets_root()) / "variants" / f"{name}.toml").read_text())
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_variants_are_valid(name, robot):
+    config = planner_config(content(name), load_spec(robot), name=name)
+    assert config.name == name
+    assert config.step.stability.min_margin == {"sdm_b": 0.30, "t12": 0.50}[robot]
+
+
+def test_both_variants_of_the_main_trial_are_shipped():
+    assert {"integrated", "blind"} <= set(SHIPPED)
+
+
+def test_an_unknown_key_is_named_with_the_nearest_known_one():
+    with pytest.raises(ConfigError, match=r"variant x: key 'self_masc' is not known; did you mean 'self_mask'\?"):
+        planner_config(content("integrated") | {"self_masc": "none"}, load_spec("sdm_b"), name="x")
+
+
+def test_an_unknown_method_is_named_with_the_known_ones():
+    with pytest.raises(ConfigError, match=r"sag = 'string' is not one of none, raise_terrain, springs"):
+        planner_config(content("integrated") | {"sag": "string"}, load_spec("sdm_b"), name="x")
+
+
+@pytest.mark.parametrize("key", sorted(CHOICES))
+def test_every_missing_choice_is_named(key):
+    incomplete = {k: v for k, v in content("integrated").items() if k != key}
+    with pytest.raises(ConfigError, match=f"key '{key}' is missing"):
+        planner_config(incomplete, load_spec("sdm_b"), name="x")
+
+
+def test_settings_reach_their_stage_and_wrong_ones_are_refused():
+    base = content("integrated")
+    config = planner_config(base | {"settings": {"footfall": {"max_slope_deg": 15.0}}}, load_spec("sdm_b"), name="x")
+    assert config.footfall.max_slope_deg == 15.0
+    with pytest.raises(ConfigError, match=r"\[settings.footfall\] max_slop_deg is not known; did you mean 'max_slope_deg'"):
+        planner_config(base | {"settings": {"footfall": {"max_slop_deg": 1.0}}}, load_spec("sdm_b"), name="x")
+    with pytest.raises(ConfigError, match=r"\[settings.footfall\] max_slope_deg is -1.0, must be positive"):
+        planner_config(base | {"settings": {"footfall": {"max_slope_deg": -1.0}}}, load_spec("sdm_b"), name="x")
+    with pytest.raises(ConfigError, match=r"\[settings.feet\] is not known"):
+        planner_config(base | {"settings": {"feet": {}}}, load_spec("sdm_b"), name="x")
+
+
+def test_a_tilt_to_leave_alone_must_be_a_small_angle():
+    with pytest.raises(ConfigError, match=r"level_deck_deg = 90 is not a number from 0 to 20"):
+        planner_config(content("integrated") | {"level_deck_deg": 90}, load_spec("sdm_b"), name="x")
