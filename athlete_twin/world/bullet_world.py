@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import importlib
+import os
+import sys
+from functools import cache
 from types import TracebackType
 from typing import Any
 
@@ -16,12 +20,25 @@ SOLVER_ITERATIONS = 20
 """only hull contacts make constraint rows, and few at a time"""
 
 
+@cache
+def _bullet() -> Any:
+    """PyBullet, without the line about its build that its import writes to standard output from C."""
+    sys.stdout.flush()
+    kept, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(sink, 1)
+    try:
+        return importlib.import_module("pybullet")
+    finally:
+        os.dup2(kept, 1)
+        os.close(kept)
+        os.close(sink)
+
+
 class BulletWorld:
     """Owns one DIRECT client; every call names it. Rebuilt, never reset: only a rebuilt world is bit-exact."""
 
     def __init__(self, ground: HeightGrid) -> None:
-        import pybullet
-
+        pybullet = _bullet()
         self.bullet: Any = pybullet
         self.client: int = pybullet.connect(pybullet.DIRECT)
         pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=self.client)
