@@ -30,6 +30,7 @@ from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.sag.sag_model import FootSprings
 from planner.sequence import as_sequence, lower_commands, step_commands
+from planner.terrain.spikes import without_spikes
 
 SECONDS_PER_PLAN = 2.0
 """charged for planning one step [s]"""
@@ -348,7 +349,7 @@ class GroundAgent:
             grid, variance = self._plane(belief)
             filled = grid
         else:
-            fused = self.eyes.map.fused()
+            fused = without_spikes(self.eyes.map.fused(), config=config.spikes)
             filled = fused.filled("nearest").grid
             grid = filled if config.unknown_terrain == "flat" else fused.grid
             variance = np.where(np.isfinite(fused.variance), fused.variance, 0.0)

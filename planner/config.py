@@ -49,6 +49,7 @@ from planner.sag.compensate import SagConfig
 from planner.stability.margin import MARGINS
 from planner.stability.stability_map import StabilityConfig
 from planner.terrain.fusion import FusionConfig
+from planner.terrain.spikes import SpikeConfig
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "self_mask": ("watershed", "kinematic", "combined", "none"),
@@ -69,6 +70,7 @@ SETTINGS: dict[str, type] = {
     "self_mask": SelfMaskConfig,
     "self_clearance": SelfClearanceConfig,
     "fusion": FusionConfig,
+    "spikes": SpikeConfig,
     "localisation": AlignConfig,
     "wheel_fit": WheelFitConfig,
     "sag": SagConfig,
@@ -100,6 +102,7 @@ class PlannerConfig:
     self_mask: SelfMaskConfig
     self_clearance: SelfClearanceConfig
     fusion: FusionConfig
+    spikes: SpikeConfig
     align: AlignConfig
     wheel_fit: WheelFitConfig
     footfall: FootfallConfig
@@ -148,6 +151,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         self_mask=made["self_mask"],
         self_clearance=made["self_clearance"],
         fusion=made["fusion"],
+        spikes=made["spikes"],
         align=made["localisation"],
         wheel_fit=made["wheel_fit"],
         footfall=made["footfall"],

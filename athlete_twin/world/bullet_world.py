@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib
 import os
 import sys
@@ -27,7 +28,9 @@ def _bullet() -> Any:
     kept, sink = os.dup(1), os.open(os.devnull, os.O_WRONLY)
     os.dup2(sink, 1)
     try:
-        return importlib.import_module("pybullet")
+        module = importlib.import_module("pybullet")
+        ctypes.CDLL(None).fflush(None)  # the line waits in C's own buffer
+        return module
     finally:
         os.dup2(kept, 1)
         os.close(kept)
