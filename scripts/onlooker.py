@@ -28,7 +28,7 @@ BESIDE_SUN = np.deg2rad(-72.0)
 """azimuth of the onlooker from the sun's: light from the side shows rocks and makes long shadows"""
 ELEVATION = np.deg2rad(23.0)
 """of the onlooker above what he looks at"""
-DISTANCE = 4.6
+DISTANCE = 4.9
 """from what he looks at, in foot radii of the robot"""
 FIELD_OF_VIEW = np.deg2rad(44.0)
 """of one frame"""

@@ -9,14 +9,16 @@ line when the folder holds no trial.
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import tyro
-from film_captions import Captions, State
+from film_captions import PANEL, Captions, State
 from onlooker import FIELD_OF_VIEW, Canvas, Posture, looking, stand_point
 from trial_recording import TrialRecording, load_recording
 
@@ -65,16 +67,13 @@ class Options:
 
 def write_film(out_dir: Path, *, speed: float = SPEED, most_frames: int = MOST_FRAMES) -> Path:
     """Writes `film.webm` into a trial's folder; its path."""
-    import cv2
     from rich.progress import track
 
     trial = load_recording(out_dir)
     shots = storyboard(trial, speed=speed, most_frames=most_frames)
     path = out_dir / "film.webm"
     part = out_dir / "film.part.webm"
-    writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"VP80"), FRAME_RATE, SIZE)
-    if not writer.isOpened():
-        raise RecordingError(f"{part}: OpenCV cannot write VP8 there; a folder you may write to would have worked")
+    writer = _writer(part)
     try:
         for frame in track(frames(trial, shots), total=len(shots), description="film", transient=True):
             writer.write(frame)
@@ -154,9 +153,28 @@ def bare_terrain(trial: TrialRecording) -> Terrain:
     )
 
 
+def _writer(path: Path) -> Any:
+    import cv2
+
+    # OpenCV tells standard error that WebM keeps VP8 under another tag, which is so and does no harm.
+    kept = os.dup(2)
+    null = os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(null, 2)
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"VP80"), FRAME_RATE, SIZE)
+    finally:
+        os.dup2(kept, 2)
+        os.close(null)
+        os.close(kept)
+    if not writer.isOpened():
+        raise RecordingError(f"{path}: OpenCV cannot write VP8 there; a folder you may write to would have worked")
+    return writer
+
+
 def _windows(pixels: np.ndarray, indices: list[int]) -> np.ndarray:
     """Left upper corner of each frame's window on the picture plane: it slides after the robot, shape (n, 2)."""
-    offset = 0.5 * (np.array(SIZE) - 1)
+    # The robot stands clear of the captions.
+    offset = 0.5 * (np.array(SIZE) - 1 - [0, PANEL])
     centre = pixels[indices[0]].copy()
     out = []
     for k in indices:
