@@ -31,6 +31,7 @@ def test_mock_keeps_gymnasiums_contract(name):
 
 
 @pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.parametrize("name", [i for i in IDS if "Mock" not in i])
 def test_twin_keeps_gymnasiums_contract(name):
     checked(name, scenario="calibration_yard")

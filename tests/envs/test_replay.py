@@ -42,10 +42,11 @@ def test_a_ground_that_does_something_else_is_noticed(tmp_path, scripted, make_m
 
 
 @pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.parametrize("variant", ["integrated", "blind"])
 def test_planning_from_the_downlink_alone_gives_the_same_proposals_without_the_truth(tmp_path, monkeypatch, variant):
     arguments = ["--scenario", "rock_field", "--variant", variant, "--time-limit", "260", "--out", str(tmp_path)]
-    subprocess.run([sys.executable, str(SCRIPT), *arguments], check=True, capture_output=True, timeout=200)
+    subprocess.run([sys.executable, str(SCRIPT), *arguments], check=True, capture_output=True, timeout=400)
     bare = tmp_path / "assets"
     shutil.copytree(assets.assets_root(), bare, ignore=shutil.ignore_patterns("truth.toml"))
     monkeypatch.setattr(assets, "_CHECKOUT", bare)

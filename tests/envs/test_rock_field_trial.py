@@ -82,6 +82,7 @@ def test_help_is_quick():
 
 
 @pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_trial_leaves_readable_files(tmp_path, number):
     arguments = ["--scenario", "calibration_yard", "--variant", "blind", "--out", str(tmp_path)]
@@ -104,6 +105,7 @@ def recorded(path):
 
 
 @pytest.mark.slow
+@pytest.mark.ci
 def test_same_command_twice_walks_the_same_way(tmp_path):
     hashes = set()
     for name in ("a", "b"):
