@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import sys
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ SCRIPT = Path(__file__).parents[2] / "scripts" / "results_table.py"
 def results_table():
     spec = importlib.util.spec_from_file_location("results_table", SCRIPT)
     module = importlib.util.module_from_spec(spec)
+    sys.modules["results_table"] = module
     spec.loader.exec_module(module)
     return module
 
