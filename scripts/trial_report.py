@@ -48,7 +48,7 @@ section { background: var(--paper); border: 1px solid var(--line); border-radius
   padding: 18px 20px; margin-top: 18px }
 h2 { font-size: 17px; margin: 0 0 10px } section > p { margin: 0 0 12px; color: var(--muted); max-width: 85ch }
 img { display: block; width: 100%; height: auto } img.narrow { max-width: 900px; margin: 0 auto }
-.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(150px, 1fr)); gap: 12px; margin-top: 18px }
+.tiles { display: flex; flex-wrap: wrap; gap: 12px; margin-top: 18px } .tile { flex: 1 1 110px }
 .tile { background: var(--paper); border: 1px solid var(--line); border-radius: 10px; padding: 12px 14px }
 .tile b { display: block; font-size: 22px; font-weight: 650; font-variant-numeric: tabular-nums }
 .tile span { color: var(--muted); font-size: 13px }
@@ -56,7 +56,7 @@ img { display: block; width: 100%; height: auto } img.narrow { max-width: 900px;
 .bar div { min-width: 0 }
 .key { display: flex; flex-wrap: wrap; gap: 6px 22px; margin-top: 10px; font-variant-numeric: tabular-nums }
 .key i { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 7px }
-.tables { display: grid; grid-template-columns: repeat(auto-fit, minmax(310px, 1fr)); gap: 4px 36px }
+.tables { display: flex; flex-wrap: wrap; gap: 4px 36px } .tables > div { flex: 1 1 420px }
 table { border-collapse: collapse; width: 100% }
 td, th { padding: 5px 8px 5px 0; border-bottom: 1px solid var(--line); vertical-align: top; text-align: left }
 th { color: var(--muted); font-weight: 500 }
@@ -95,7 +95,7 @@ def report_html(trial: TrialRecording) -> str:
         _picture(
             "How a pair of pictures becomes terrain",
             "One stereo pair of this trial, matched again, and what the ground took for the robot itself and kept out of "
-            "the map.",
+            "the map; pixels without a depth never get there anyway.",
             eyes_figure(trial),
             narrow=True,
         ),
@@ -209,24 +209,25 @@ def _proposals(trial: TrialRecording) -> str:
         disc = f'<span class="disc" style="background:{colour}">{p.leg + 1 if p.leg >= 0 else "–"}</span>'
         kind = ' class="rejected"' if p.decision not in ("approve", "") else ""
         rows.append(
-            f'<tr{kind}><td class="n">{p.index}</td><td class="n">{_clock(p.t)}</td><td>{disc}</td><td>{html.escape(p.text)}</td>'
+            f'<tr{kind}><td class="n">{p.index}</td><td class="n">{_stamp(p.t)}</td><td>{disc}</td><td>{html.escape(p.text)}</td>'
             f'<td class="n">{_metres(p.margin)}</td><td class="n">{_millimetres(p.sag)}</td>'
             f"<td>{html.escape(p.decision.replace('_', ' ')) or 'none'}</td></tr>"
         )
     table = (
         '<div class="scroll"><table><tr><th class="n">no.</th><th class="n">time</th><th>leg</th><th>what was proposed</th>'
-        f'<th class="n">predicted margin</th><th class="n">predicted sag</th><th>decision</th></tr>{"".join(rows)}</table></div>'
+        f'<th class="n">least margin</th><th class="n">sag</th><th>decision</th></tr>{"".join(rows)}</table></div>'
     )
     if len(rows) > MANY_PROPOSALS:
         table = f"<details><summary>{len(rows)} proposals</summary>{table}</details>"
-    return f"<section><h2>What was proposed and decided</h2>{table if rows else '<p>Nothing.</p>'}</section>"
+    words = "Margin and sag are the ground's predictions." if rows else "Nothing."
+    return f"<section><h2>What was proposed and decided</h2><p>{words}</p>{table if rows else ''}</section>"
 
 
 def _collisions(trial: TrialRecording) -> str:
     if not trial.collisions:
         return ""
     rows = "".join(
-        f'<tr><td class="n">{_clock(c["t"])}</td><td>{html.escape(c["part"])}</td><td>{html.escape(c["other"])}</td>'
+        f'<tr><td class="n">{_stamp(c["t"])}</td><td>{html.escape(c["part"])}</td><td>{html.escape(c["other"])}</td>'
         f'<td class="n">({c["place_in_world"][0]:.2f}, {c["place_in_world"][1]:.2f}, {c["place_in_world"][2]:.2f}) m</td>'
         f'<td class="n">{c["force"]:.0f} N</td></tr>'
         for c in trial.collisions
@@ -279,6 +280,13 @@ def _clock(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _stamp(seconds: float) -> str:
+    """Mission time as minutes and seconds, or with hours."""
+    whole = int(seconds)
+    hours, minutes = divmod(whole // 60, 60)
+    return f"{hours}:{minutes:02d}:{whole % 60:02d}" if hours else f"{minutes}:{whole % 60:02d}"
 
 
 def main(arguments: list[str] | None = None) -> int:
