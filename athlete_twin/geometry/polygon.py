@@ -99,7 +99,8 @@ def _chain(points: np.ndarray, order: np.ndarray) -> list[int]:
 
 
 def _float(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values, dtype=np.float64)
+    """A contiguous copy: numba would compile once more for a read-only array."""
+    return np.array(values, dtype=np.float64, order="C")
 
 
 def _checked(points: np.ndarray) -> np.ndarray:

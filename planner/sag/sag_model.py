@@ -40,6 +40,8 @@ MAX_ITERATIONS = 60
 """of one attempt; it takes 4 from a cold start when a solution is near"""
 SOFTENED = (0.05, 0.015, 0.005, SOFT_CONTACT)
 """compressions over which contact comes in on the second attempt, each starting from the one before [m]"""
+MAX_TILT = 0.5
+"""tilt by sag beyond which a balance of forces is that of a robot already lying over [rad]"""
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -89,8 +91,8 @@ class SagSolution:
     """largest scaled residual; at most `TOLERANCE` when converged"""
     iterations: int
     status: str
-    """"converged"; "tips": the CoM is outside the feet that could carry; "too_few_feet": fewer than three carry;
-    "not_converged": the iteration ended elsewhere"""
+    """"converged"; "tips": the CoM is outside the feet that could carry, or the chassis turns by more than `MAX_TILT`;
+    "too_few_feet": fewer than three carry; "not_converged": the iteration ended elsewhere"""
 
     @property
     def converged(self) -> bool:
@@ -133,7 +135,8 @@ def solve_sag(
         begin[:, 2] = -_even_sink(springs.stiffness_z, lifts, weight)
     else:
         begin = np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T
-    feet, stiffness, spent = np.ascontiguousarray(feet), springs.stiffness_z, 0
+    # Copies: numba compiles once more for arrays that are read-only or not contiguous.
+    feet, stiffness, lifts, spent = np.ascontiguousarray(feet), springs.stiffness_z.copy(), lifts.copy(), 0
     for softness in ((SOFT_CONTACT,), SOFTENED):
         moved = begin
         for soft in softness:
@@ -175,7 +178,8 @@ def solve_loaded(
     moved, forces, residual, iterations = _levenberg_marquardt(
         np.ascontiguousarray(feet), com, weight, stiffness, lateral_ratio, np.zeros(count), False, SOFT_CONTACT, begin
     )
-    pose = _rigid_fit(np.vstack([feet_in_hex[loaded], com_in_hex]), moved @ level_from_hex)
+    before = np.vstack([feet_in_hex[loaded], com_in_hex])
+    pose = _rigid_fit(before, before + moved @ level_from_hex)
     displacements, all_forces = np.empty((7, 3)), np.zeros((6, 3))
     displacements[:6] = pose.apply(feet_in_hex) - feet_in_hex
     displacements[:6][loaded] = moved[:-1] @ level_from_hex
@@ -242,6 +246,8 @@ def _solution(
     loaded = (forces != 0.0).any(axis=1)
     up = level_from_hex[2]
     lifted = np.where(loaded, lifts, 0.0)[:, None] * up
+    if pose is None:
+        pose = _rigid_fit(np.vstack([feet, com]), np.vstack([feet, com]) + displacements)
     status = "converged"
     if residual > TOLERANCE:
         can_carry = np.isfinite(lifts)
@@ -250,8 +256,8 @@ def _solution(
             status = "too_few_feet"
     elif loaded.sum() < 3:
         status = "too_few_feet"
-    if pose is None:
-        pose = _rigid_fit(np.vstack([feet, com]), np.vstack([feet, com]) + displacements)
+    elif float(up @ pose.rotation @ up) < np.cos(MAX_TILT):
+        status = "tips"
     return SagSolution(
         forces=forces,
         displacements=displacements[:6],

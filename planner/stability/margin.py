@@ -142,7 +142,8 @@ def _check_wheels(wheels: np.ndarray) -> None:
 
 
 def _float(values: np.ndarray) -> np.ndarray:
-    return np.ascontiguousarray(values, dtype=np.float64)
+    """A contiguous copy: numba would compile once more for a read-only array."""
+    return np.array(values, dtype=np.float64, order="C")
 
 
 @njit(cache=True)
