@@ -96,8 +96,8 @@ class FootfallMap:
 
     def reason_at(self, xy: np.ndarray) -> str:
         """Name of the veto at a point (2,); "unknown" outside the map."""
-        ix, iy, inside = self.grid.index(xy)
-        return self.reasons[int(self.veto[ix, iy])] if bool(inside) else REASONS[UNKNOWN]
+        ix, iy, inside = self.grid.index(np.reshape(xy, (1, 2)))
+        return self.reasons[int(self.veto[ix[0], iy[0]])] if bool(inside[0]) else REASONS[UNKNOWN]
 
 
 def score_footfalls(

@@ -107,14 +107,14 @@ def test_tip_over_energy_on_rough_ground_equals_turning_the_robot_over_each_edge
 def test_tip_over_energy_falls_downhill_and_vanishes_above_an_edge():
     edge = HEXAGON.copy()
     level = tip_over_energy(COM, edge)
-    tilted = SE3_tilt(0.25)
+    tilted = _tilt(0.25)
     assert tip_over_energy(tilted @ COM, edge @ tilted.T) < level
     above = np.array([0.0, np.sqrt(0.75) * R, 0.85])
     assert tip_over_energy(above, HEXAGON) == pytest.approx(0.0, abs=NANOMETRE)
     assert tip_over_energy(above + [0.0, 0.1, 0.0], HEXAGON) < 0.0
 
 
-def SE3_tilt(angle: float) -> np.ndarray:
+def _tilt(angle: float) -> np.ndarray:
     return np.asarray(Rotation.from_euler("x", angle).as_matrix())
 
 
