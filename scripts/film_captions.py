@@ -15,7 +15,7 @@ PANEL = 54
 """height of the panel at the lower edge [px]"""
 BAR = 6
 """height of the bar of the whole trial [px]"""
-WAITS = {"link": "the link", "ground": "the ground computes", "operator": "the operator"}
+WAITS = {"link": "link", "ground": "ground", "operator": "operator"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,7 +77,7 @@ class Captions:
         if not state.moves:
             parts = [f"{WAITS[name]} {seconds:.0f} s" for name, seconds in state.waited.items() if seconds >= 0.5]
             most = max(state.waited, key=lambda name: state.waited[name], default="link")
-            return "waits: " + (", ".join(parts) or "the link"), BIN_COLOURS[most]
+            return "waits for " + (", ".join(parts) or "link"), BIN_COLOURS[most]
         step = f"step {state.step}" if state.step else "looks around"
         if state.leg >= 0:
             return f"{step}: leg {state.leg + 1}", LEG_COLOURS[state.leg]
