@@ -258,11 +258,13 @@ def _side(link: str, parent_of: Mapping[str, str]) -> str:
 
 def _origin(joint: ElementTree.Element) -> SE3:
     origin = joint.find("origin")
-    return SE3.from_rpy(*_vector(origin, "rpy"), _vector(origin, "xyz"))
+    roll, pitch, yaw = (float(angle) for angle in _vector(origin, "rpy"))
+    return SE3.from_rpy(roll, pitch, yaw, _vector(origin, "xyz"))
 
 
 def _vector(element: ElementTree.Element | None, key: str) -> np.ndarray:
-    return np.array([float(v) for v in ("" if element is None else element.get(key, "")).split() or [0.0] * 3])
+    text = "" if element is None else element.get(key, "")
+    return np.array([float(v) for v in text.split()]) if text.strip() else np.zeros(3)
 
 
 def _name(joint: ElementTree.Element, role: str) -> str:
