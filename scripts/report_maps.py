@@ -198,7 +198,8 @@ def _goal(axes: Any, trial: TrialRecording) -> None:
 
     if trial.goal is None:
         return
-    axes.add_patch(Circle((float(trial.goal[0]), float(trial.goal[1])), 0.30, fc=(1, 1, 1, 0.5), ec=LIMIT, lw=1.4, ls=(0, (3, 2)), zorder=6))
+    centre = (float(trial.goal[0]), float(trial.goal[1]))
+    axes.add_patch(Circle(centre, 0.30, fc=(1, 1, 1, 0.5), ec=LIMIT, lw=1.4, ls=(0, (3, 2)), zorder=6))
     axes.plot(*trial.goal, marker="*", ms=13, color=LIMIT, mec="white", mew=0.8, zorder=6.5)
 
 
