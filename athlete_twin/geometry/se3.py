@@ -13,6 +13,7 @@ Frames (a transform is named `world_from_hex`: it takes what is expressed in `he
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,8 +70,8 @@ class SE3:
         return SE3(Rotation.from_rotvec(rotvec).as_matrix(), np.zeros(3) if translation is None else translation)
 
     @staticmethod
-    def from_quaternion(xyzw: np.ndarray, translation: Vec3) -> SE3:
-        """From Bullet's and SciPy's quaternion order."""
+    def from_quaternion(xyzw: Sequence[float] | np.ndarray, translation: Sequence[float] | Vec3) -> SE3:
+        """From Bullet's and SciPy's quaternion order; sequences will do, Bullet hands out tuples."""
         return SE3(Rotation.from_quat(np.asarray(xyzw, dtype=float)).as_matrix(), np.asarray(translation, dtype=float))
 
     @staticmethod

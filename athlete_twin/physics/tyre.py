@@ -11,6 +11,7 @@ Cost: constant per wheel and tick, about 3 us a wheel.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import numba
 import numpy as np
@@ -80,6 +81,7 @@ class Tyres:
         return depths, places
 
 
+@no_type_check
 @numba.njit(cache=True)
 def _height_and_normal(x, y, heights, grid):  # type: ignore[no-untyped-def]
     nx, ny = heights.shape
@@ -95,6 +97,7 @@ def _height_and_normal(x, y, heights, grid):  # type: ignore[no-untyped-def]
     return h, -gx * n, -gy * n, n
 
 
+@no_type_check
 @numba.njit(cache=True)
 def _frame(axis):  # type: ignore[no-untyped-def]
     """Unit vectors across the axle: `below`, the lowest direction of the rim, and `along` the ground."""
@@ -109,6 +112,7 @@ def _frame(axis):  # type: ignore[no-untyped-def]
     return below, along
 
 
+@no_type_check
 @numba.njit(cache=True)
 def _tyre_kernel(  # type: ignore[no-untyped-def]
     axles, axes, velocities, spins, radius, width, k1, k2, kt, c, ct, mu, heights, grid, bristles, dt, angles, stations
@@ -165,6 +169,7 @@ def _tyre_kernel(  # type: ignore[no-untyped-def]
     return forces, patches, deflections, loads
 
 
+@no_type_check
 @numba.njit(cache=True)
 def _hull_kernel(axles, axes, radius, width, heights, grid, angles):  # type: ignore[no-untyped-def]
     n_wheels = axles.shape[0]
