@@ -169,7 +169,7 @@ class Body:
         found = self._bullet.getContactPoints(bodyA=self.robot, physicsClientId=self._client) or ()
         contacts = []
         for c in found:
-            if c[8] > 0.0:
+            if c[9] <= 0.0:  # within Bullet's margin, pressing nothing
                 continue
             other = "ground" if c[2] == self.world.ground_body else self._names.get(c[4], "hex")
             part = self._names.get(c[3], "hex")
