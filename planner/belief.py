@@ -1,7 +1,8 @@
 """What the ground believes of the robot itself: its pose, where its wheels stand, what they carry. From telemetry alone.
 
 A planted wheel is an anchor. Its contact point is remembered in the world; its axle stands a wheel's radius above it,
-less what its spring gives way under the load it is believed to carry. All anchors and the measured roll and pitch fix
+less what the tyre gives way under the load it is believed to carry: the joints are read behind their wind-up, so the
+tyre's own constant counts here, not the leg's. All anchors and the measured roll and pitch fix
 the chassis (`localise.fit_wheels`); a wheel that comes down gets its anchor from the pose that the others fix. The start
 defines the world: hex above its origin, heading along x, z zero at the mean height of the first six contacts.
 """
@@ -88,7 +89,7 @@ class BeliefFilter:
         if self._contacts is not None:
             standing &= np.isfinite(self._contacts).all(axis=1)
         loads = self._loads(telemetry.joints, gravity, self._planted)
-        drop = self._kin.spec.wheel.radius - loads / self._springs.stiffness_z
+        drop = self._kin.spec.wheel.radius - loads / self._kin.spec.believed_tyre_stiffness
         if self._contacts is None:
             level = tilt.apply(wheels)
             height = -float(np.mean(level[:, 2] - drop))

@@ -126,6 +126,8 @@ class RobotSpec:
     metre further out [rad/m], which keeps the peak torque near its least; None where the leg has none"""
     believed_foot_stiffness: float
     """vertical spring a foot, [SunSpiral2012] eq. 3 [N/m]"""
+    believed_tyre_stiffness: float
+    """vertical spring of the tyre alone [N/m]"""
     believed_lateral_ratio: float
     """horizontal over vertical stiffness"""
     cameras: tuple[StereoCamera, ...]
@@ -216,6 +218,7 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         min_support_margin=figure(stance["min_support_margin"]),
         hip_pitch_rule=_hip_pitch_rule(stance),
         believed_foot_stiffness=figure(belief["foot_stiffness_z"]),
+        believed_tyre_stiffness=figure(belief["tyre_stiffness_z"]),
         believed_lateral_ratio=figure(belief["lateral_ratio"]),
         cameras=tuple(c for group in content["camera"] for c in _cameras(group)),
     )
