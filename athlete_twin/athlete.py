@@ -175,6 +175,8 @@ class Athlete:
         out, self._waiting = self._waiting, []
         while self.t < until - 1e-9 and not out:
             if not self.executive.busy and self._rest:
+                # What touches while nothing moves goes on touching: no new episode when time runs again.
+                self._touching = {p: t + until - self.t for p, t in self._touching.items()}
                 self.t = until
                 break
             out = self._control_tick()

@@ -13,9 +13,9 @@ import numpy as np
 
 from athlete_twin.geometry.arrays import Joints
 from athlete_twin.messages import BodyMove, Command, CommandSequence, ImageRequest, JointMove, LegMove, Stop, Wait
-from athlete_twin.model.kinematics import Kinematics
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS
-from athlete_twin.moves import Move, MoveFailedError, Sensed, body_move, joint_move, leg_move
+from athlete_twin.moves import Move, MoveFailedError, Sensed, body_move, gravity_in_hex, joint_move, leg_move
 
 CONTROL_PERIOD = 1.0 / 24.0
 """of the executive: ten physics ticks [s]"""
@@ -23,6 +23,8 @@ TORQUE_FILTER = 0.1
 """time constant of the torque guard [s]"""
 RECOVERY = 0.03
 """a joint that is beyond its limit when a sequence begins may go so much further: the way out must not be barred"""
+SWING_FORCE = 0.03
+"""of the robot's weight: a wheel in the air that feels more has struck something. Free swings show up to 0.01 (inertia)"""
 SETTLING_TIME = 1.0
 """at the end of each sequence, before it counts as completed [s]"""
 IMAGING_TIME = 0.5
@@ -68,6 +70,8 @@ class Executive:
     _running: _Running | None = None
     _fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
     _allowed_fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    _swing_force: np.ndarray | None = None
+    """on the wheel that moves through the air, low-passed, in hex; None until it is off the ground [N]"""
 
     @property
     def busy(self) -> bool:
@@ -96,6 +100,7 @@ class Executive:
             self._allowed_fraction = np.maximum(sequence.max_torque_fraction, self._fraction + RECOVERY)
         try:
             self._guard(self._running, sensed)
+            self._guard_swing(self._running, sensed)
             return self._advance(self._running, sensed)
         except MoveFailedError as failure:
             return self._fail(failure)
@@ -134,6 +139,7 @@ class Executive:
         return events
 
     def _begin(self, command: Command) -> Move:
+        self._swing_force = None
         if isinstance(command, JointMove):
             self.phases[command.leg] = "swing"
             return joint_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
@@ -167,6 +173,27 @@ class Executive:
         if tilt > run.sequence.max_tilt:
             raise MoveFailedError(
                 "tilt", f"chassis tilts by {np.rad2deg(tilt):.1f} deg, allowed {np.rad2deg(run.sequence.max_tilt):.1f}"
+            )
+
+    def _guard_swing(self, run: _Running, sensed: Sensed) -> None:
+        """A wheel that was free and feels a force has met what nobody foresaw: stop before the leg pushes."""
+        command = run.sequence.commands[run.index] if run.index < len(run.sequence.commands) else None
+        if run.move is None or not isinstance(command, JointMove | LegMove):
+            return
+        if isinstance(command, LegMove) and command.guard != "none":
+            return
+        gravity = gravity_in_hex(sensed.attitude_rpy)
+        force = self.kin.ground_force(command.leg, sensed.joints, sensed.torques[command.leg], gravity)
+        allowed = run.sequence.max_swing_force or SWING_FORCE * self.kin.spec.mass * GRAVITY
+        if self._swing_force is None:
+            # A leg that is led out of a contact, or moved on the ground, is watched once it is free.
+            self._swing_force = force if np.linalg.norm(force) < allowed else None
+            return
+        self._swing_force = self._swing_force + (force - self._swing_force) * min(1.0, CONTROL_PERIOD / TORQUE_FILTER)
+        felt = float(np.linalg.norm(self._swing_force))
+        if felt > allowed:
+            raise MoveFailedError(
+                "swing_contact", f"leg {command.leg + 1} struck something: {felt:.0f} N, allowed {allowed:.0f} N", command.leg
             )
 
     def _fail(self, failure: MoveFailedError) -> list[Event]:

@@ -168,9 +168,13 @@ class CommandSequence(Message):
     """the executive stops with a fault when a measured joint torque exceeds this fraction of its limit"""
     max_tilt: float = 0.35
     """and when the chassis tilts by more [rad]"""
+    max_swing_force: float | None = None
+    """and when a wheel that moves through the air feels more, by its leg's torques; None: the executive's own limit [N]"""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "commands", tuple(self.commands))
+        if self.max_swing_force is not None and not (np.isfinite(self.max_swing_force) and self.max_swing_force > 0.0):
+            raise CommandError(f"max_swing_force {self.max_swing_force} N must be positive and finite, or None")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,7 +244,7 @@ class Fault(Message):
 
     topic: ClassVar[str] = "/downlink/fault"
     code: str
-    """"torque_limit", "tilt", "no_contact", "contact_not_broken", "unreachable", "bad_command" or "brown_out" """
+    """"torque_limit", "tilt", "swing_contact", "no_contact", "contact_not_broken", "unreachable", "bad_command" or "brown_out" """
     text: str
     sequence_id: int
     command_index: int

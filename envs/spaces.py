@@ -45,7 +45,9 @@ NEVER = 1e6
 """age of what has not come down yet [s]"""
 
 RECEIPTS = ("none", "queued", "executing", "completed", "failed", "cancelled")
-FAULTS = ("none", "torque_limit", "tilt", "no_contact", "contact_not_broken", "unreachable", "bad_command", "brown_out")
+FAULTS = (
+    "none", "torque_limit", "tilt", "no_contact", "contact_not_broken", "unreachable", "bad_command", "brown_out", "swing_contact",
+)  # fmt: skip
 STATES = ("unknown", *EXECUTIVE_STATES)
 
 Action = dict[str, Any]

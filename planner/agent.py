@@ -16,7 +16,17 @@ import numpy as np
 
 from athlete_twin.geometry.arrays import Vec2, Vec3
 from athlete_twin.geometry.grid import HeightGrid
-from athlete_twin.messages import Command, CommandSequence, Fault, ImageRequest, Message, Receipt, StereoPair, Telemetry
+from athlete_twin.messages import (
+    Command,
+    CommandSequence,
+    Fault,
+    ImageRequest,
+    JointMove,
+    Message,
+    Receipt,
+    StereoPair,
+    Telemetry,
+)
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, RobotSpec
 from planner.belief import Belief, BeliefFilter
@@ -28,6 +38,7 @@ from planner.gait.skeleton import regular_places, reverse_wave, stride
 from planner.gait.step_plan import StepPlan
 from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
+from planner.recovery import LOWERINGS, Recovery
 from planner.sag.sag_model import FootSprings
 from planner.sequence import as_sequence, lower_commands, step_commands
 from planner.terrain.spikes import without_spikes
@@ -38,17 +49,12 @@ SECONDS_PER_PAIR = 1.0
 """charged for one stereo pair [s]"""
 STANDING_LOAD = 150.0
 """after a fault, a wheel whose torques speak of more than this stands [N]"""
-LOWERINGS = 2
-"""further descents after a wheel found no ground, before it steps elsewhere"""
+UNKNOWN_RISE = 0.10
+"""ground nobody saw is taken for so much higher than the highest beside it, for collisions: with the swing's own
+clearance rocks of 0.17 m (SDM-B) hide there without harm [m]"""
 FLAT_RADIUS = 8.0
 """of the flat map of a variant without pictures [m]"""
 MAX_TORQUE_FRACTION = 1.0
-RETRY_LIFT = 0.10
-"""added to a lift that did not break contact [m]"""
-MAX_EXTRA_LIFT = 0.30
-"""[m]"""
-MAX_ATTEMPTS = 6
-"""faults at one and the same step before the ground gives up"""
 
 
 @dataclass(kw_only=True)
@@ -97,10 +103,7 @@ class GroundAgent:
         self._ground_s = 0.0
         self._sequence_id = 0
         self._proposals = 0
-        self._refused: list[np.ndarray] = []
-        self._extra_lift = 0.0
-        self._attempts = 0
-        self._lowerings = 0
+        self._recovery = Recovery()
         self._behind = 0.0
         self._surveyed = config.fusion_method == "flat"
         self._forced_leg: int | None = None
@@ -173,9 +176,9 @@ class GroundAgent:
             return self._send(replace(proposal.sequence, t=t), plan)
         if decision.kind == "reject":
             if plan is None:
-                self._surveyed = True
+                self._surveyed, self._recovery.retreat = True, None
             else:
-                self._refused.append(plan.footfall_in_world[:2])
+                self._recovery.refuse(plan)
         elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
             self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
             self._forced_leg = plan.leg if plan is not None else None
@@ -216,7 +219,7 @@ class GroundAgent:
             regular = stride(self.spec, self.config.step.gait) / LEGS
             advance = float(np.linalg.norm(sent.plan.shift.translation_in_hex[:2]))
             self._behind = max(0.0, self._behind + regular - advance)
-            self._refused, self._extra_lift, self._attempts, self._lowerings = [], 0.0, 0, 0
+            self._recovery.reset()
         self._belief = self._filter.update(self._telemetry)
         for t in sorted({p.t for p in sent.pairs}):
             pairs = [p for p in sent.pairs if p.t == t]
@@ -230,21 +233,18 @@ class GroundAgent:
             self.eyes.touch(self._belief.contacts_in_world[self._belief.planted])
 
     def _faulted(self, sent: _Sent, fault: Fault) -> None:
-        self._attempts += 1
         plan = sent.plan
-        if plan is None:
+        if plan is None or self._telemetry is None:
             self._surveyed = True
+            self._recovery.attempts += 1
             return
-        if self._attempts >= MAX_ATTEMPTS:
-            self._stopped = f"{self._attempts} faults at one step, the last: {fault.text}"
-        if self._telemetry is not None:
-            self._feel(plan.leg, self._telemetry)
-        if fault.code == "contact_not_broken":
-            self._extra_lift = min(self._extra_lift + RETRY_LIFT, MAX_EXTRA_LIFT)
-        elif fault.code == "no_contact":
-            self._lowerings += 1
+        self._recovery.fault(fault, plan, self._telemetry.motors[plan.leg])
+        if self._recovery.exhausted:
+            self._stopped = f"{self._recovery.attempts} faults at one step, the last: {fault.text}"
+        if fault.code == "swing_contact":
+            self._filter.lift(plan.leg)
         else:
-            self._refused.append(plan.footfall_in_world[:2])
+            self._feel(plan.leg, self._telemetry)
         self._forced_leg = plan.leg
 
     def _feel(self, leg: int, telemetry: Telemetry) -> None:
@@ -273,7 +273,9 @@ class GroundAgent:
         heading = np.asarray(offset / max(remaining, 1e-9))
         with self._timer("footfall"):
             ground = self._ground(belief)
-        if len(in_air) and 0 < self._lowerings <= LOWERINGS and self._attempt is not None:
+        if self._recovery.retreat is not None and self._attempt is not None:
+            return self._retreat(belief, ground, self._attempt, self._recovery.retreat, t)
+        if len(in_air) and self._recovery.lowers and self._attempt is not None:
             return self._lower(belief, ground, self._attempt, t)
         refused: Counter[str] = Counter()
         reasons = []
@@ -284,8 +286,8 @@ class GroundAgent:
                 remaining=remaining,
                 behind=self._behind,
                 footfall_xy=self._forced_xy,
-                refused_xy=np.array(self._refused).reshape(-1, 2),
-                extra_lift=self._extra_lift,
+                refused_xy=self._recovery.refused_xy,
+                extra_lift=self._recovery.extra_lift,
             )
             self._ground_s += SECONDS_PER_PLAN
             with self._timer("plan"):
@@ -299,8 +301,8 @@ class GroundAgent:
                 return self._as_proposal(found, belief, ground, t)
             refused.update(found.refused)
             reasons.append(found.reason)
-        if len(in_air) and self._attempt is not None and self._lowerings <= LOWERINGS:
-            self._lowerings += 1
+        if len(in_air) and self._attempt is not None and self._recovery.lowerings <= LOWERINGS:
+            self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
         return NoStep(reason="; ".join(dict.fromkeys(reasons)), refused=dict(refused))
 
@@ -333,6 +335,25 @@ class GroundAgent:
         )  # fmt: skip
         return self._proposal
 
+    def _retreat(self, belief: Belief, ground: Ground, plan: StepPlan, waypoints: np.ndarray, t: float) -> Action:
+        """The wheel struck something in the air: back the way it came, and a look at what was there."""
+        wheel_in_hex = self.kin.leg_wheel(plan.leg, belief.joints[plan.leg]).translation
+        look = () if self.config.fusion_method == "flat" else seeing(self.spec, wheel_in_hex, most=self.config.survey.each_step)
+        sequence = self._as_sequence([JointMove(leg=plan.leg, waypoints=waypoints)], t, cameras=look)
+        preview = np.repeat(belief.joints[None], len(waypoints) + 1, axis=0)
+        preview[1:, plan.leg] = waypoints
+        self._plan = None
+        self._proposal = Proposal(
+            index=self._next_proposal(), t=t, kind="shift", leg=plan.leg,
+            footfall_in_world=belief.world_from_hex.apply(wheel_in_hex) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0]),
+            sequence=sequence, preview_joints=preview, preview_world_from_hex=(belief.world_from_hex,) * len(preview),
+            terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
+            cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
+            world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
+            text=f"leg {plan.leg + 1} struck something: back the way it came, and a look",
+        )  # fmt: skip
+        return self._proposal
+
     def _lower(self, belief: Belief, ground: Ground, plan: StepPlan, t: float) -> Action:
         """The wheel found no ground where the map had some: further down at the same place."""
         axle = self.kin.leg_wheel(plan.leg, belief.motors[plan.leg]).translation
@@ -350,8 +371,11 @@ class GroundAgent:
             filled = grid
         else:
             fused = without_spikes(self.eyes.map.fused(), config=config.spikes)
-            filled = fused.filled("nearest").grid
-            grid = filled if config.unknown_terrain == "flat" else fused.grid
+            if config.unknown_terrain == "flat":
+                grid = filled = fused.filled("nearest").grid
+            else:
+                # What nobody saw may hide a rock as high as the highest beside it, and a little more.
+                grid, filled = fused.grid, fused.filled("highest", margin=UNKNOWN_RISE).grid
             variance = np.where(np.isfinite(fused.variance), fused.variance, 0.0)
         footfalls = score_footfalls(grid, variance, wheel_radius=self.spec.wheel.radius, config=config.footfall)
         return Ground(heights=grid, filled=filled, footfalls=footfalls)
@@ -429,7 +453,10 @@ class GroundAgent:
     def _send(self, sequence: CommandSequence, plan: StepPlan | None) -> CommandSequence:
         awaited = sum(len(c.cameras) for c in sequence.commands if isinstance(c, ImageRequest))
         self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited)
-        self._attempt = plan
+        if plan is not None:
+            self._attempt = plan
+        if any(isinstance(c, JointMove) for c in sequence.commands):
+            self._recovery.retreat = None
         return sequence
 
     def _next_proposal(self) -> int:

@@ -135,6 +135,31 @@ def test_a_robot_beyond_its_torque_limit_may_still_be_led_out():
     assert faults(run(e, torque=0.9)) == []
 
 
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("share, fault", [(0.01, []), (0.06, ["swing_contact"])])
+def test_a_wheel_that_strikes_something_in_the_air_stops_the_sequence(robot, share, fault):
+    e = executive(robot)
+    spec, weight = e.kin.spec, e.kin.spec.mass * 9.81
+    start = e.setpoint[0]
+    e.accept(sequence(JointMove(leg=0, waypoints=(start + np.eye(spec.dof)[0] * 0.5)[None])))
+    events, gravity, felt = [], np.array([0.0, 0.0, -9.81]), np.zeros((6, 3))
+    for _ in range(2000):
+        felt[0, 0] = -share * weight if abs(e.setpoint[0, 0] - start[0]) > 0.25 else 0.0  # half-way, from the front
+        contacts = e.kin.wheels_in_hex(e.setpoint) - [0.0, 0.0, spec.wheel.radius]
+        torques = e.kin.gravity_torques(e.setpoint, gravity, felt, contacts)
+        events += e.tick(Sensed(joints=e.setpoint, torques=torques, attitude_rpy=np.zeros(3)))
+        if not e.busy:
+            break
+    assert faults(events) == fault
+    assert (abs(e.setpoint[0, 0] - start[0]) < 0.5 - 1e-9) == bool(fault)
+
+
+def test_a_leg_is_led_out_of_a_contact_without_a_fault():
+    e = executive()
+    e.accept(sequence(JointMove(leg=0, waypoints=(e.setpoint[0] + np.eye(6)[0] * 0.2)[None])))
+    assert faults(run(e, load=2000.0)) == []
+
+
 def test_tilt_beyond_the_limit_stops_the_sequence():
     e = executive()
     e.accept(sequence(Wait(duration=1.0), max_tilt=0.2))
