@@ -6,7 +6,7 @@ rest is held by its brakes: time passes without integration, which changes nothi
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ from athlete_twin.model.stance import stance_wheels_in_hex
 from athlete_twin.moves import Sensed
 from athlete_twin.physics.body import Body, settled
 from athlete_twin.physics.truth import TrialTruth, draw_truth
+from athlete_twin.robot import ViewTruth
 from athlete_twin.sensors.proprioception import Measurement, Proprioception, ProprioceptionNoise
 from athlete_twin.world.bullet_world import TICK, BulletWorld
 from athlete_twin.world.scenario import Scenario
@@ -115,6 +116,7 @@ class Athlete:
     ) -> None:
         self.spec, self.scenario, self.seed = spec, scenario, seed
         self.robot_id = spec.name
+        self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
         stance = stance_wheels_in_hex(spec)
         self.terrain = terrain or build_terrain(scenario, seed, clear_xy=stance[:, :2], clear_radius=CLEAR_RADIUS)
@@ -324,12 +326,15 @@ class Athlete:
             index=self._captures,
         )
         self._captures += 1
+        if self.on_view is not None:
+            for name, shot in shots.items():
+                self.on_view(shot.truth(camera=name, t=self.t, wheels_in_world=self.body.axles.copy()))
         return [
             StereoPair(
                 seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=event.request.binning,
-                left=left, right=right, exposure=exposure, state=state,
+                left=shot.left, right=shot.right, exposure=shot.exposure, state=state,
             )
-            for name, (left, right, exposure) in shots.items()
+            for name, shot in shots.items()
         ]
 
     def _telemetry(self) -> Telemetry:

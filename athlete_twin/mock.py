@@ -7,6 +7,7 @@ Joints do not wind up. Its pictures show a flat, textured ground without robot o
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.moves import Sensed
+from athlete_twin.robot import ViewTruth
 
 TELEMETRY_PERIOD = 1.0
 """while a sequence runs, DESIGN.md [s]"""
@@ -61,6 +63,7 @@ class MockAthlete:
 
     def __init__(self, spec: RobotSpec) -> None:
         self.spec, self.robot_id = spec, spec.name
+        self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
         self.executive = Executive(kin=self.kin, setpoint=regular_stance(spec))
         self.t = 0.0

@@ -5,10 +5,13 @@ The twin (`athlete.Athlete`) and the mock (`mock.MockAthlete`) keep it; a real m
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
+import numpy as np
+
+from athlete_twin.geometry.arrays import DepthMap, Image, Joints, PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Message, Stop
 
@@ -87,6 +90,23 @@ class TruthView(Protocol):
         """Largest so far, low-passed at 0.1 s."""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ViewTruth:
+    """What the left image of one stereo pair truly shows."""
+
+    t: float
+    """when it was taken, as its pair says [s]"""
+    camera: str
+    label: Image
+    """0 sky, 1 ground, 2 rock, 3 robot, shape (h, w)"""
+    depth: DepthMap
+    """along the boresight, NaN for sky [m]"""
+    points_in_world: np.ndarray
+    """what each pixel shows, shape (h, w, 3), NaN for sky [m]"""
+    wheels_in_world: Wheels
+    """axle centres [m]"""
+
+
 @runtime_checkable
 class TrackView(Protocol):
     """One sample of the true motion."""
@@ -132,6 +152,9 @@ class CollisionView(Protocol):
 @runtime_checkable
 class SimulatedRobot(Robot, Protocol):
     """A robot whose truth can be asked."""
+
+    on_view: Callable[[ViewTruth], None] | None
+    """called with the truth of every pair it takes; None, the default, spares the work"""
 
     @property
     def track(self) -> Sequence[TrackView]:

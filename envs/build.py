@@ -5,6 +5,7 @@ Everything heavy (Bullet, Open3D, OMPL) is imported here at the moment it is nee
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -51,8 +52,12 @@ def ground_agent(
     seed: int,
     payload_kg: float = 0.0,
     timer: StageTimer = untimed,
+    on_look: Callable[[Any], None] | None = None,
 ) -> GroundAgent:
-    """The ground with a variant, by its name in the assets or by a path ending in .toml."""
+    """The ground with a variant, by its name in the assets or by a path ending in .toml.
+
+    `on_look` is told of every `planner.eyes.Look` at a picture, for whoever keeps scores.
+    """
     from planner.agent import GroundAgent as PlanningAgent
     from planner.config import planner_config
 
@@ -61,9 +66,11 @@ def ground_agent(
         config = planner_config(content, spec, name=path.stem)
     except ConfigError as e:
         raise ConfigError(f"{path}: {e}") from e
-    return PlanningAgent(
+    agent = PlanningAgent(
         spec, config, goal_in_world=np.array(goal, dtype=float), seed=seed, payload_kg=payload_kg, timer=timer
     )
+    agent.eyes.on_look = on_look
+    return agent
 
 
 def variant_content(variant: str) -> tuple[Path, dict[str, Any]]:

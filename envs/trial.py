@@ -21,6 +21,7 @@ from athlete_twin.link import DelayedLink, LinkConfig
 from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.spec import RobotSpec
 from athlete_twin.robot import SimulatedRobot, TrackView, TruthView
+from envs.mask_score import MaskScore
 from envs.mission import Mission
 from envs.provenance import provenance
 from envs.recorder import Recorder
@@ -137,6 +138,8 @@ class Trial:
     out: Path
     """folder that exists"""
     timer: StageTimes = field(default_factory=StageTimes)
+    mask_score: MaskScore = field(default_factory=MaskScore)
+    """what its builder joins to the robot's views and the ground's looks; without that its figures are None"""
     progress: ProgressReport = lambda _state: None
 
     def run(self) -> TrialResult:
@@ -300,7 +303,7 @@ class Trial:
             touchdown_error_m=scorer.touchdown_error(),
             map_error_m=scorer.map_error(path_of(list(self.robot.track))),
             localisation_error_m=scorer.localisation_error(),
-            leg_mask=dict.fromkeys(("recall", "terrain_lost", "lost_near_wheels")),
+            leg_mask=self.mask_score.summary(),
             stage_times_s=self.timer.summary(),
             trajectory_sha256=trajectory_sha256(self.robot.track),
             suite_sha256=None,

@@ -20,7 +20,7 @@ from planner.config import PlannerConfig
 from planner.perception.localise import Alignment, align_to_map
 from planner.perception.self_clearance import without_hanging_points
 from planner.perception.self_mask import MaskedDepth, remove_self
-from planner.perception.stereo import match
+from planner.perception.stereo import DepthImage, match
 from planner.terrain.fusion import FusedTerrain, TerrainMap, points_in_world
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
@@ -38,6 +38,8 @@ class Look:
 
     camera: str
     t: float
+    matched: DepthImage
+    """with the robot in it"""
     masked: MaskedDepth
     world_from_camera: SE3
     """believed, after alignment"""
@@ -56,6 +58,8 @@ class Eyes:
         self.map = TerrainMap.around(0.0, 0.0, config=config.fusion)
         self.looks: list[Look] = []
         """of the latest set of pictures"""
+        self.on_look: Callable[[Look], None] | None = None
+        """told of every look, for whoever keeps scores"""
 
     def take(self, pairs: list[StereoPair], belief: Belief) -> SE3:
         """Fuse one set of pairs taken at the same time; the correction of the world that aligning them gave.
@@ -64,7 +68,8 @@ class Eyes:
         fitted to the map as it was before, then all are fused.
         """
         self.looks = []
-        masked = [self._masked(pair, belief) for pair in pairs]
+        matched = [self._matched(pair) for pair in pairs]
+        masked = [self._masked(pair, depth, belief) for pair, depth in zip(pairs, matched, strict=True)]
         poses = [belief.world_from_hex.compose(self._kin.spec.camera(p.camera).hex_from_camera) for p in pairs]
         correction, alignment = SE3.identity(), None
         if self._config.localisation_method == "wheels_and_map":
@@ -73,15 +78,18 @@ class Eyes:
             if alignment is not None and alignment.accepted:
                 correction = alignment.correction
         with self._timer("fuse"):
-            for pair, depth, pose in zip(pairs, masked, poses, strict=True):
+            for pair, full, depth, pose in zip(pairs, matched, masked, poses, strict=True):
                 world_from_camera = correction.compose(pose)
                 cells = self.map.fuse(depth.depth, world_from_camera)
                 self.looks.append(
                     Look(
-                        camera=pair.camera, t=pair.t, masked=depth, world_from_camera=world_from_camera,
+                        camera=pair.camera, t=pair.t, matched=full, masked=depth, world_from_camera=world_from_camera,
                         alignment=alignment, cells=cells,
                     )
                 )
+        if self.on_look is not None:
+            for look in self.looks:
+                self.on_look(look)
         return correction
 
     def touch(self, contacts: np.ndarray) -> None:
@@ -89,10 +97,11 @@ class Eyes:
         contacts = np.atleast_2d(contacts)
         self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4)
 
-    def _masked(self, pair: StereoPair, belief: Belief) -> MaskedDepth:
-        camera = self._kin.spec.camera(pair.camera)
+    def _matched(self, pair: StereoPair) -> DepthImage:
         with self._timer("stereo"):
-            depth = match(pair, camera, config=self._config.stereo)
+            return match(pair, self._kin.spec.camera(pair.camera), config=self._config.stereo)
+
+    def _masked(self, pair: StereoPair, depth: DepthImage, belief: Belief) -> MaskedDepth:
         if not self._parts and self._config.self_mask.method in ("kinematic", "combined"):
             self._parts = visual_parts(self._kin.spec)
         hex_from_world = belief.world_from_hex.inverse()

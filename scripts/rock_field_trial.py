@@ -81,6 +81,7 @@ def prepared(options: Options) -> Trial:
     from athlete_twin.model.spec import load_spec
     from athlete_twin.world.scenario import load_scenario
     from envs.build import ground_agent, twin
+    from envs.mask_score import MaskScore
     from envs.stage_times import StageTimes
     from envs.trial import Trial, TrialSetup, usable_folder
 
@@ -102,13 +103,19 @@ def prepared(options: Options) -> Trial:
         payload_kg=options.payload_kg,
     )
     operator = _operator(options)
+    mask_score = MaskScore()
     agent = ground_agent(
-        spec, options.variant, goal=goal, seed=options.seed, payload_kg=options.payload_kg, timer=timer
-    )
+        spec, options.variant, goal=goal, seed=options.seed, payload_kg=options.payload_kg, timer=timer,
+        on_look=mask_score.looked,
+    )  # fmt: skip
     out = usable_folder(options.out)
     with timer("set_up"):
         robot, grid = twin(spec, scenario, options.seed, payload_kg=options.payload_kg)
-    return Trial(setup=setup, spec=spec, robot=robot, agent=agent, operator=operator, grid=grid, out=out, timer=timer)
+    robot.on_view = mask_score.saw
+    return Trial(
+        setup=setup, spec=spec, robot=robot, agent=agent, operator=operator, grid=grid, out=out, timer=timer,
+        mask_score=mask_score,
+    )  # fmt: skip
 
 
 def run(trial: Trial) -> TrialResult:

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from athlete_twin.errors import CameraError
-from athlete_twin.geometry.arrays import Image
+from athlete_twin.geometry.arrays import Image, Wheels
 from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.camera import Pinhole
 from athlete_twin.model.spec import RobotSpec
-from athlete_twin.sensors.renderer import Renderer
+from athlete_twin.robot import ViewTruth
+from athlete_twin.sensors.renderer import Renderer, RenderResult
 
 RESPONSE = 500.0
 """share of white a second for a surface of radiance 1: EST, daylight at 5 ms for albedo 0.4 [1/s]"""
@@ -32,6 +35,31 @@ METERED_FROM_ROW = 1.0 / 3.0
 EXPOSURES = (1e-4, 0.05)
 """shortest and longest [s]"""
 EYES = ("left", "right")
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Shot:
+    """One pair as taken, and what its left eye truly saw."""
+
+    left: Image
+    """8-bit grey, shape (h, w)"""
+    right: Image
+    exposure: float
+    """[s]"""
+    seen: RenderResult
+    """by the left eye: depth and labels, for scoring alone"""
+    eye: Pinhole
+    world_from_left: SE3
+    """true pose of the left eye"""
+
+    def truth(self, *, camera: str, t: float, wheels_in_world: Wheels) -> ViewTruth:
+        """What the left image truly shows; the axles are where they were [m]."""
+        seen = self.seen
+        points = self.eye.rays() * seen.depth[..., None]
+        points = self.world_from_left.apply(points.reshape(-1, 3)).reshape(points.shape)
+        return ViewTruth(
+            t=t, camera=camera, label=seen.label, depth=seen.depth, points_in_world=points, wheels_in_world=wheels_in_world
+        )
 
 
 class StereoRig:
@@ -68,8 +96,8 @@ class StereoRig:
         world_from_hex: SE3,
         index: int,
         exposure: float | None = None,
-    ) -> dict[str, tuple[Image, Image, float]]:
-        """Left image, right image and exposure [s] of each named pair, all taken at one instant.
+    ) -> dict[str, Shot]:
+        """A shot of each named pair, all taken at one instant.
 
         Args:
             cameras: names of pairs.
@@ -81,22 +109,24 @@ class StereoRig:
         """
         drawn = [self._spec.camera(name) for name in cameras]
         robot = self._renderer.place(link_poses)
-        out: dict[str, tuple[Image, Image, float]] = {}
+        out: dict[str, Shot] = {}
         for camera in drawn:
             eye = camera.eye.binned(binning)
             world_from_left = world_from_hex.compose(self._hex_from_left[camera.name])
             world_from_right = world_from_left.compose(SE3.from_translation(np.array([camera.baseline, 0.0, 0.0])))
             left, right = (
-                self._renderer.render(pose, eye, robot).image for pose in (world_from_left, world_from_right)
+                self._renderer.render(pose, eye, robot) for pose in (world_from_left, world_from_right)
             )
-            seconds = metered_exposure(left) if exposure is None else exposure
+            seconds = metered_exposure(left.image) if exposure is None else exposure
             images = [
                 develop(
                     radiance, seconds, binning=binning, rng=noise_generator(self._seed, camera.name, index, eye=side)
                 )
-                for side, radiance in zip(EYES, (left, right), strict=True)
+                for side, radiance in zip(EYES, (left.image, right.image), strict=True)
             ]
-            out[camera.name] = (images[0], images[1], seconds)
+            out[camera.name] = Shot(
+                left=images[0], right=images[1], exposure=seconds, seen=left, eye=eye, world_from_left=world_from_left
+            )
         return out
 
 

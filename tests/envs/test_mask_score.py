@@ -1,0 +1,63 @@
+"""The leg mask's score counts what a hand counts on a drawn picture."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from athlete_twin.robot import ViewTruth
+from envs.mask_score import MaskScore
+
+SHAPE = (40, 60)
+
+
+def view(label: np.ndarray) -> ViewTruth:
+    # A pixel shows a square centimetre of flat ground; a wheel stands at (0.2, 0.3).
+    x, y = np.meshgrid(0.01 * np.arange(SHAPE[0]), 0.01 * np.arange(SHAPE[1]), indexing="ij")
+    points = np.stack([x, y, np.zeros(SHAPE)], axis=-1)
+    wheels = np.full((6, 3), 50.0)
+    wheels[2] = [0.2, 0.3, 0.24]
+    return ViewTruth(
+        t=1.0, camera="navcam_1", label=label, depth=np.full(SHAPE, 2.0), points_in_world=points, wheels_in_world=wheels
+    )
+
+
+def look(matched: np.ndarray, masked: np.ndarray, t: float = 1.0):
+    return SimpleNamespace(
+        camera="navcam_1", t=t, matched=SimpleNamespace(depth=matched),
+        masked=SimpleNamespace(depth=SimpleNamespace(depth=masked)),
+    )  # fmt: skip
+
+
+def test_shares_leave_the_outline_and_pixels_without_depth_out():
+    label = np.ones(SHAPE, dtype=np.uint8)
+    label[:, 40:] = 3
+    matched = np.full(SHAPE, 2.0)
+    matched[0, :] = np.nan
+    masked = matched.copy()
+    masked[:, 50:] = np.nan  # of the robot's columns 42 to 59 ten are found
+    masked[:13, :19] = np.nan  # and of the terrain's columns 0 to 37 some are lost
+    score = MaskScore()
+    score.saw(view(label))
+    score.looked(look(matched, masked))
+    summary = score.summary()
+    assert summary["recall"] == pytest.approx(10 / 18)
+    assert summary["terrain_lost"] == pytest.approx(12 * 19 / (39 * 38))
+    assert 0.0 < summary["lost_near_wheels"] < 1.0
+
+
+def test_a_wheel_far_away_is_not_near():
+    score = MaskScore()
+    score.saw(view(np.ones(SHAPE, dtype=np.uint8)))
+    lost = np.full(SHAPE, 2.0)
+    lost[39, :10] = np.nan  # 0.2 m and more from the axle, but within 0.4 m
+    score.looked(look(np.full(SHAPE, 2.0), lost))
+    assert score.near == pytest.approx(SHAPE[0] * SHAPE[1])
+    assert score.near_removed == 10
+
+
+def test_a_look_at_another_moment_and_no_look_at_all_count_nothing():
+    score = MaskScore()
+    score.saw(view(np.ones(SHAPE, dtype=np.uint8)))
+    score.looked(look(np.ones(SHAPE), np.ones(SHAPE), t=2.0))
+    assert score.summary() == {"recall": None, "terrain_lost": None, "lost_near_wheels": None}
