@@ -25,6 +25,7 @@ from athlete_twin.model.stance import stance_wheels_in_hex
 from athlete_twin.moves import Sensed
 from athlete_twin.physics.body import Body, settled
 from athlete_twin.physics.truth import TrialTruth, draw_truth
+from athlete_twin.physics.tyre import Footing
 from athlete_twin.robot import ViewTruth
 from athlete_twin.sensors.proprioception import Measurement, Proprioception, ProprioceptionNoise
 from athlete_twin.world.bullet_world import TICK, BulletWorld
@@ -123,7 +124,13 @@ class Athlete:
         names = tuple(self.kin.link_poses(np.zeros((LEGS, spec.dof))))
         self.trial = trial or draw_truth(spec, seed, link_names=names)
         self.world = BulletWorld(self.terrain.grid)
-        self.body = Body(self.world, spec, self.trial, friction=self.terrain.friction, payload_kg=payload_kg)
+        footing = Footing(
+            friction=self.terrain.friction,
+            rock_friction=self.terrain.rock_material.friction,
+            soil=self.terrain.soil,
+            is_rock=self.terrain.rock_index >= 0,
+        )
+        self.body = Body(self.world, spec, self.trial, footing=footing, payload_kg=payload_kg)
         self.payload_kg = payload_kg
         truth = self.trial.truth
         self._senses = Proprioception(

@@ -279,15 +279,18 @@ class GroundAgent:
             return self._lower(belief, ground, self._attempt, t)
         refused: Counter[str] = Counter()
         reasons = []
-        for leg in self._order(belief, heading, in_air):
+        tries = self._tries(belief, heading, in_air, ground)
+        forced_xy, self._forced_xy = self._forced_xy, None
+        for leg, cautious in tries:
             request = StepRequest(
                 leg=leg,
                 heading=heading,
                 remaining=remaining,
                 behind=self._behind,
-                footfall_xy=self._forced_xy,
+                footfall_xy=forced_xy,
                 refused_xy=self._recovery.refused_xy,
                 extra_lift=self._recovery.extra_lift,
+                cautious=cautious,
             )
             self._ground_s += SECONDS_PER_PLAN
             with self._timer("plan"):
@@ -295,7 +298,6 @@ class GroundAgent:
                     self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload,
                     rng=self._rng,
                 )  # fmt: skip
-            self._forced_xy = None
             if isinstance(found, StepPlan):
                 self._forced_leg = None
                 return self._as_proposal(found, belief, ground, t)
@@ -306,18 +308,28 @@ class GroundAgent:
             return self._lower(belief, ground, self._attempt, t)
         return NoStep(reason="; ".join(dict.fromkeys(reasons)), refused=dict(refused))
 
-    def _order(self, belief: Belief, heading: Vec2, in_air: np.ndarray) -> list[int]:
-        """Legs to try, first the one whose turn it is. A leg in the air must come down before any other moves."""
+    def _tries(self, belief: Belief, heading: Vec2, in_air: np.ndarray, ground: Ground) -> list[tuple[int, bool]]:
+        """Legs to try, first the one whose turn it is, and whether to keep clear of ground that nobody saw.
+
+        Of the legs whose turn it is all are tried with caution, then all without, and only then others.
+        """
+        groups = self._order(belief, heading, in_air)
+        both = (True, False) if ground.cautious is not ground.filled else (False,)
+        return [(leg, cautious) for group in groups for cautious in both for leg in group]
+
+    def _order(self, belief: Belief, heading: Vec2, in_air: np.ndarray) -> list[list[int]]:
+        # A leg in the air must come down before any other moves.
         if len(in_air):
-            return [int(in_air[0])]
+            return [[int(in_air[0])]]
         if self._forced_leg is not None:
-            return [self._forced_leg] + [leg for leg in range(LEGS) if leg != self._forced_leg and self._forced_xy is None]
+            others = [leg for leg in range(LEGS) if leg != self._forced_leg and self._forced_xy is None]
+            return [[self._forced_leg], others]
         heading_in_hex = (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2]
         wave = reverse_wave(self.spec, heading_in_hex / np.linalg.norm(heading_in_hex))
         fewest = min(self.stepped[leg] for leg in range(LEGS))
         due = [leg for leg in wave if self.stepped[leg] == fewest]
         # A leg ahead of its turn may step once, to let the chassis go on; twice would only run away from the others.
-        return due + [leg for leg in wave if self.stepped[leg] == fewest + 1]
+        return [due, [leg for leg in wave if self.stepped[leg] == fewest + 1]]
 
     def _survey(self, belief: Belief, heading: Vec2, t: float) -> Action:
         self._surveyed = True
@@ -368,17 +380,18 @@ class GroundAgent:
         config = self.config
         if config.fusion_method == "flat":
             grid, variance = self._plane(belief)
-            filled = grid
+            filled = cautious = grid
         else:
             fused = without_spikes(self.eyes.map.fused(), config=config.spikes)
             if config.unknown_terrain == "flat":
-                grid = filled = fused.filled("nearest").grid
+                grid = filled = cautious = fused.filled("nearest").grid
             else:
                 # What nobody saw may hide a rock as high as the highest beside it, and a little more.
-                grid, filled = fused.grid, fused.filled("highest", margin=UNKNOWN_RISE).grid
+                grid, filled = fused.grid, fused.filled("nearest").grid
+                cautious = fused.filled("highest", margin=UNKNOWN_RISE).grid
             variance = np.where(np.isfinite(fused.variance), fused.variance, 0.0)
         footfalls = score_footfalls(grid, variance, wheel_radius=self.spec.wheel.radius, config=config.footfall)
-        return Ground(heights=grid, filled=filled, footfalls=footfalls)
+        return Ground(heights=grid, filled=filled, cautious=cautious, footfalls=footfalls)
 
     def _plane(self, belief: Belief) -> tuple[HeightGrid, np.ndarray]:
         """A flat map: the plane through the wheels' contacts."""

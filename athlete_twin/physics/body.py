@@ -20,11 +20,13 @@ from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.physics.flex import DockFlex
 from athlete_twin.physics.servo import Servos
 from athlete_twin.physics.truth import TrialTruth
-from athlete_twin.physics.tyre import TyreForces, Tyres
+from athlete_twin.physics.tyre import Footing, TyreForces, Tyres
 from athlete_twin.world.bullet_world import TICK, BulletWorld
 
 WHEEL_LOCK = 2.0e4
 """holds a locked wheel against its fork [N m/rad]"""
+DRIVE_RESPONSE = 0.01
+"""in which a driven wheel would take up its rate in the air [s]: more than two ticks"""
 DISTAL = ("knee_pitch", "knee_roll", "ankle_pitch", "ankle_roll")
 """links that get the truth's armature"""
 RUNAWAY_SPEED = 20.0
@@ -48,7 +50,15 @@ class HullContact:
 class Body:
     """One robot in one world."""
 
-    def __init__(self, world: BulletWorld, spec: RobotSpec, trial: TrialTruth, *, friction: float, payload_kg: float = 0.0) -> None:
+    def __init__(
+        self,
+        world: BulletWorld,
+        spec: RobotSpec,
+        trial: TrialTruth,
+        *,
+        footing: Footing,
+        payload_kg: float = 0.0,
+    ) -> None:
         self.spec, self.trial, self.world = spec, trial, world
         self._bullet, self._client = world.bullet, world.client
         self.robot = self._load(payload_kg)
@@ -59,7 +69,9 @@ class Body:
         self._driven = self._leg_list + self._wheels + self._docks
         self._names = {i: n for n, i in self._link.items()}
         self._flex = DockFlex(trial.truth, [n for n in self._joint if n.startswith("dock")])
-        self._friction, self._payload = friction, payload_kg
+        self._footing, self._payload = footing, payload_kg
+        self._wheel_drive = trial.truth.tyre_drive_torque
+        self._locked_at = np.zeros(LEGS)
         self._servos: Servos | None = None
         self._tyres: Tyres | None = None
         self._filter_collisions()
@@ -82,16 +94,27 @@ class Body:
         self._servos = Servos(self.trial.truth, limits, legs.reshape(LEGS, -1), np.array(joints, dtype=float))
         self._flex.set_inertias(docks)
         self._tyres = Tyres(
-            self.spec.wheel, self.trial, self.world.ground, friction=self._friction, sprung_mass=self.spec.mass + self._payload
+            self.spec.wheel, self.trial, self.world.ground, self._footing, sprung_mass=self.spec.mass + self._payload
         )
         self._read()
 
-    def step(self, commands: Joints, rate_limits: Joints) -> None:
-        """One tick: `commands` are motor angles (6, dof) [rad], approached at most at `rate_limits` (6, dof) [rad/s]."""
+    def step(self, commands: Joints, rate_limits: Joints, wheel_rates: PerLeg | None = None) -> None:
+        """One tick.
+
+        Args:
+            commands: motor angles, shape (6, dof) [rad].
+            rate_limits: at which the motors approach them at most, shape (6, dof) [rad/s].
+            wheel_rates: of the wheels on their forks, shape (6,) [rad/s]; None locks them where they are.
+        """
         servos, tyres = self._ready()
         b, client, robot = self._bullet, self._client, self.robot
         torques = servos.step(self.joints, self.rates, commands, rate_limits, TICK)
-        wheel = -WHEEL_LOCK * self._wheel_angles - self._wheel_damping * self._wheel_rates
+        if wheel_rates is None:
+            wheel = -WHEEL_LOCK * (self._wheel_angles - self._locked_at) - self._wheel_damping * self._wheel_rates
+        else:
+            self._locked_at = self._wheel_angles
+            error = wheel_rates - self._wheel_rates
+            wheel = np.clip(self._wheel_gain * error, -self._wheel_drive, self._wheel_drive)
         dock = self._flex.torques(self.dock_angles, self._dock_rates)
         b.setJointMotorControlArray(
             robot,
@@ -304,7 +327,9 @@ class Body:
                 full[joint.idx_v, joint.idx_v] += self.trial.truth.joint_armature
         inverse = np.diag(np.linalg.inv(full))
         inertia = {self._joint[name]: 1.0 / inverse[joint.idx_v] for name, joint in place.items()}
-        self._wheel_damping = np.array([2.0 * 0.3 * np.sqrt(WHEEL_LOCK * inertia[i]) for i in self._wheels])
+        wheels = np.array([inertia[i] for i in self._wheels])
+        self._wheel_damping = 2.0 * 0.3 * np.sqrt(WHEEL_LOCK * wheels)
+        self._wheel_gain = wheels / DRIVE_RESPONSE
         return np.array([inertia[i] for i in self._driven])
 
 

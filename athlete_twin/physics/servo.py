@@ -1,8 +1,13 @@
-"""Joints of the truth: a motor behind a stiff gear, a spring between gear and link, limits of rate and torque.
+"""Joints of the truth: a motor behind a stiff gear, a spring between gear and link, friction, brakes, limits.
 
-The motor follows its command at the rate limit and is not driven back by the load (worm-like gears, brakes). Between
-motor and link a series spring winds up: torque = k (motor - link) - c link_rate, which is also how the robot reads its
-torque. At the torque limit the motor gives way, so the limit is never passed for longer than a tick.
+The motor follows its command at the rate limit. Its gear cannot be driven back: at the torque limit the motor stalls,
+and when it stands its brake holds. Between motor and link a series spring winds up, k (motor - slipped - link), which is
+also how the robot reads its torque: from encoders before and after the spring. Bearings and gear rub with a Dahl
+friction, which the spring does not show: what is measured under load differs by it from what the load asks.
+
+What gives way above the limit differs. SDM-B's gear ratchets ([SunSpiral2012] s7.1): a tooth slips, the link jumps by it
+and the encoders disagree from then on, so that the measured torque is off by k times a tooth. T12's does not: its brake
+slips, and both encoders follow.
 """
 
 from __future__ import annotations
@@ -11,6 +16,9 @@ import numpy as np
 
 from athlete_twin.geometry.arrays import Joints
 from athlete_twin.physics.truth import Truth
+
+RUBBING_STROKE = 2e-3
+"""over which the friction builds up when the direction turns [rad]"""
 
 
 class Servos:
@@ -25,16 +33,41 @@ class Servos:
         """[N m]"""
         self.motors = start.copy()
         """motor angles, referred to the joint [rad]"""
+        self.slipped = np.zeros(start.shape)
+        """by ratcheting, motor less gear [rad]"""
+        self.stuck = np.zeros(start.shape, dtype=bool)
+        """joints whose motor does not turn any more"""
         self._slack = self.limits / self.stiffness
+        self._holding = truth.joint_holding * self._slack
+        self._ratchets = truth.joint_ratchet > 0.0
+        self._ratchet = truth.joint_ratchet * self.limits
+        self._tooth = truth.joint_tooth
+        self._friction = truth.joint_friction * self.limits
+        self._rubbed = np.zeros(start.shape)
 
     def step(self, links: Joints, link_rates: Joints, commands: Joints, rate_limits: Joints, dt: float) -> Joints:
         """Torques on the links [N m]; moves the motors towards their commands by at most `rate_limits * dt`."""
         step = rate_limits * dt
-        self.motors += np.clip(commands - self.motors, -step, step)
-        np.clip(self.motors, links - self._slack, links + self._slack, out=self.motors)
-        torques = self.stiffness * (self.motors - links) - self.damping * link_rates
-        return np.asarray(np.clip(torques, -self.limits, self.limits))
+        step[self.stuck] = 0.0
+        unloaded = links + self.slipped
+        wanted = self.motors + np.clip(commands - self.motors, -step, step)
+        # At the limit the motor stalls: it goes no farther into the load, nor is it driven back.
+        self.motors = np.clip(
+            wanted, np.minimum(self.motors, unloaded - self._slack), np.maximum(self.motors, unloaded + self._slack)
+        )
+        if self._ratchets:
+            self._skip(links)
+        else:
+            np.clip(self.motors, unloaded - self._holding, unloaded + self._holding, out=self.motors)
+        self._rubbed = np.clip(self._rubbed + link_rates * dt, -RUBBING_STROKE, RUBBING_STROKE)
+        friction = self._friction * (self._rubbed / RUBBING_STROKE)
+        return np.asarray(self.torques(links) - self.damping * link_rates - friction)
 
     def torques(self, links: Joints) -> Joints:
         """Torque carried by the springs [N m]."""
-        return np.asarray(self.stiffness * (self.motors - links))
+        return np.asarray(self.stiffness * (self.motors - self.slipped - links))
+
+    def _skip(self, links: Joints) -> None:
+        torques = self.torques(links)
+        teeth = np.ceil((np.abs(torques) - self._ratchet) / (self.stiffness * self._tooth))
+        self.slipped += np.sign(torques) * np.maximum(teeth, 0.0) * self._tooth

@@ -31,6 +31,14 @@ class Truth:
     joint_damping_ratio: float
     joint_armature: float
     """reflected rotor inertia of the four distal joints of a leg [kg m2]"""
+    joint_friction: float
+    """Coulomb, over the torque limit"""
+    joint_holding: float
+    """torque at which a standing motor's brake slips, over the limit"""
+    joint_ratchet: float
+    """torque at which a tooth slips, over the limit; 0 for gears that do not ratchet"""
+    joint_tooth: float
+    """by which a slipped tooth sets the link back [rad]"""
     tyre_k1: float
     """[N/m]"""
     tyre_k2: float
@@ -38,6 +46,10 @@ class Truth:
     tyre_lateral_stiffness: float
     """[N/m]"""
     tyre_damping_ratio: float
+    tyre_pressure: float
+    """in the patch, once it has grown [Pa]"""
+    tyre_drive_torque: float
+    """of a wheel's motor at most [N m]"""
     dock_bend_stiffness: float
     """[N m/rad]"""
     dock_twist_stiffness: float
@@ -95,10 +107,16 @@ def load_truth(robot: str) -> Truth:
             joint_stiffness=figure(c["joint"]["stiffness"]),
             joint_damping_ratio=figure(c["joint"]["damping_ratio"]),
             joint_armature=figure(c["joint"]["armature"]),
+            joint_friction=figure(c["joint"]["friction"]),
+            joint_holding=figure(c["joint"]["holding"]),
+            joint_ratchet=figure(c["joint"]["ratchet"]),
+            joint_tooth=float(np.deg2rad(figure(c["joint"]["tooth_deg"]))),
             tyre_k1=figure(c["tyre"]["k1"]),
             tyre_k2=figure(c["tyre"]["k2"]),
             tyre_lateral_stiffness=figure(c["tyre"]["lateral_stiffness"]),
             tyre_damping_ratio=figure(c["tyre"]["damping_ratio"]),
+            tyre_pressure=figure(c["tyre"]["pressure"]),
+            tyre_drive_torque=figure(c["tyre"]["drive_torque"]),
             dock_bend_stiffness=figure(c["dock"]["bend_stiffness"]),
             dock_twist_stiffness=figure(c["dock"]["twist_stiffness"]),
             dock_damping_ratio=figure(c["dock"]["damping_ratio"]),

@@ -92,7 +92,9 @@ class Ground:
     heights: HeightGrid
     """believed heights, NaN where unknown"""
     filled: HeightGrid
-    """the same without NaN, for collisions"""
+    """the same without NaN: unknown ground as the nearest known"""
+    cautious: HeightGrid
+    """the same, unknown ground higher than the highest beside it: what a swing keeps clear of while it can"""
     footfalls: FootfallMap
 
 
@@ -131,6 +133,8 @@ class StepRequest:
     """[m]"""
     extra_lift: float = 0.0
     """after a lift that did not break contact [m]"""
+    cautious: bool = True
+    """whether the swing keeps clear of ground that nobody saw; if not, the executive's guard on it must do"""
 
 
 def search_step(
@@ -178,8 +182,9 @@ def search_step(
     if start is None:
         return NoStep(reason=f"leg {leg + 1} cannot lift high enough", refused={"lift_reach": 1})
     lift_in_hex, q_break, q_lift = start
+    terrain = ground.cautious if request.cautious else ground.filled
     collision = LegCollision(
-        kin.spec, _raised(ground.filled, sag.terrain_raise), swing_pose, belief.joints, leg, config.collision
+        kin.spec, _raised(terrain, sag.terrain_raise), swing_pose, belief.joints, leg, config.collision
     )
     for place in places[order[: config.search.tried]]:
         plan = _try(

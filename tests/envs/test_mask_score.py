@@ -1,13 +1,17 @@
 """The leg mask's score counts what a hand counts on a drawn picture."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.spec import load_spec
 from athlete_twin.robot import ViewTruth
 from envs.mask_score import MaskScore
+from planner.eyes import Look
+from planner.perception.self_mask import MaskedDepth
+from planner.perception.stereo import DepthImage
 
+SPEC = load_spec("sdm_b")
 SHAPE = (40, 60)
 
 
@@ -22,10 +26,21 @@ def view(label: np.ndarray) -> ViewTruth:
     )
 
 
-def look(matched: np.ndarray, masked: np.ndarray, t: float = 1.0):
-    return SimpleNamespace(
-        camera="navcam_1", t=t, matched=SimpleNamespace(depth=matched),
-        masked=SimpleNamespace(depth=SimpleNamespace(depth=masked)),
+def image(depth: np.ndarray) -> DepthImage:
+    camera = SPEC.camera("navcam_1")
+    return DepthImage(
+        camera=camera, eye=camera.eye.binned(8), depth=depth, sigma=0.01 * depth, grey=np.zeros(SHAPE, np.uint8), t=1.0
+    )
+
+
+def look(matched: np.ndarray, masked: np.ndarray, t: float = 1.0) -> Look:
+    without = MaskedDepth(
+        depth=image(masked), mask=~np.isfinite(masked), labels=np.zeros(SHAPE, np.int32), robot_labels=(),
+        expected=np.full(SHAPE, np.nan),
+    )  # fmt: skip
+    return Look(
+        camera="navcam_1", t=t, matched=image(matched), masked=without, world_from_camera=SE3.identity(), alignment=None,
+        cells=0,
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.physics.body import Body
 from athlete_twin.physics.truth import nominal_truth
+from athlete_twin.physics.tyre import Footing
 from athlete_twin.world.bullet_world import BulletWorld
 
 MakeBody = Callable[..., Body]
@@ -28,7 +29,7 @@ def make_body() -> Iterator[MakeBody]:
         spec = load_spec(robot)
         world = BulletWorld(flat() if ground is None else ground)
         worlds.append(world)
-        body = Body(world, spec, nominal_truth(spec), friction=0.7)
+        body = Body(world, spec, nominal_truth(spec), footing=Footing.hard(0.7))
         joints = regular_stance(spec, foot_radius, height)
         chassis = spec.chassis_height if height is None else height
         body.place(SE3.from_translation(np.array([0.0, 0.0, chassis])), joints)
