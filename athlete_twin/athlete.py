@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
+from athlete_twin.breakage import Breakage
 from athlete_twin.errors import PhysicsError
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
-from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
+from athlete_twin.geometry.arrays import Image, Joints, PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, StereoPair, Stop, Telemetry
 from athlete_twin.model.appearance import visual_parts
@@ -29,6 +30,7 @@ from athlete_twin.physics.tyre import Footing
 from athlete_twin.robot import ViewTruth
 from athlete_twin.sensors.proprioception import Measurement, Proprioception, ProprioceptionNoise
 from athlete_twin.world.bullet_world import TICK, BulletWorld
+from athlete_twin.world.injected import InjectedFault
 from athlete_twin.world.scenario import Scenario
 from athlete_twin.world.terrain import Terrain, build_terrain
 
@@ -144,6 +146,8 @@ class Athlete:
                 acceleration=truth.acceleration_noise,
             ),
         )
+        self._breakage = Breakage(scenario.faults, spec)
+        self._lost: list[Event] = []
         self._eyes: Any = None
         self.t = 0.0
         self._ticks = 0
@@ -169,11 +173,13 @@ class Athlete:
 
     @property
     def busy(self) -> bool:
-        """Whether the executive has anything to do."""
-        return self.executive.busy
+        """Whether the executive has anything to do, or will have once its power is back."""
+        return self.executive.busy or self._breakage.dark(self.t)
 
     def receive(self, message: CommandSequence | Stop) -> list[Message]:
         """Take what came up the link; returns the receipts this makes at once."""
+        if self._breakage.dark(self.t):
+            return []
         made = self._tell(self.executive.accept(message))
         if isinstance(message, Stop):
             made.append(self._telemetry())
@@ -183,12 +189,16 @@ class Athlete:
         """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first."""
         out, self._waiting = self._waiting, []
         while self.t < until - 1e-9 and not out:
-            if not self.executive.busy and self._rest:
-                # What touches while nothing moves goes on touching: no new episode when time runs again.
-                self._touching = {p: t + until - self.t for p, t in self._touching.items()}
-                self.t = until
+            out = self._break()
+            if out:
                 break
-            out = self._control_tick()
+            if not self.executive.busy and self._rest:
+                later = min(until, self._breakage.next_change(self.t))
+                # What touches while nothing moves goes on touching: no new episode when time runs again.
+                self._touching = {p: t + later - self.t for p, t in self._touching.items()}
+                self.t = later
+            else:
+                out = self._control_tick()
         return out
 
     def close(self) -> None:
@@ -196,6 +206,11 @@ class Athlete:
         self.world.close()
 
     # --- truth, for scoring and films -----------------------------------------------------------------------------
+
+    @property
+    def injected(self) -> list[InjectedFault]:
+        """What the scenario has broken so far."""
+        return self._breakage.applied
 
     def truth(self) -> TruthState:
         """What is really so now."""
@@ -234,6 +249,18 @@ class Athlete:
         height = self.spec.chassis_height + datum
         return joints, SE3.from_translation(np.array([0.0, 0.0, height]))
 
+    def _break(self) -> list[Message]:
+        """What breaks now; what there is to tell once the executive has its power back."""
+        due = self._breakage.apply(self.t, self.body, self._senses)
+        if due:
+            self._rest = False
+        if any(fault.kind == "brown_out" for fault in due):
+            self._lost += self.executive.brown_out()
+        if not self._lost or self._breakage.dark(self.t):
+            return []
+        lost, self._lost = self._lost, []
+        return [*self._tell(lost), self._telemetry()]
+
     def _settle(self) -> None:
         limit = np.full((LEGS, self.spec.dof), self.spec.speed_loaded)
         commands = self.executive.setpoint - self.trial.encoder_zero
@@ -249,6 +276,7 @@ class Athlete:
         world_from_hex = body.world_from_hex()
         to_hex = world_from_hex.rotation.T
         self._ticks += 1
+        self._senses.torque_offset = self._breakage.torque_offset(self.t)
         return self._senses.measure(
             body.joints,
             body.motors,
@@ -270,7 +298,7 @@ class Athlete:
         rates = np.minimum(rates, self.spec.speed_unloaded)
         limits = self.spec.torque_limits
         for _ in range(TICKS_PER_CONTROL):
-            self.body.step(commands, rates)
+            self.body.step(commands, rates, self.executive.wheel_rates if self.executive.rolling else None)
             fraction = np.abs(self.body.torques()) / limits
             self._torque_fraction += (fraction - self._torque_fraction) * (TICK / TORQUE_FILTER)
         self.t += CONTROL_PERIOD
@@ -339,10 +367,13 @@ class Athlete:
         return [
             StereoPair(
                 seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=event.request.binning,
-                left=shot.left, right=shot.right, exposure=shot.exposure, state=state,
+                left=self._seen(name, shot.left), right=self._seen(name, shot.right), exposure=shot.exposure, state=state,
             )
             for name, shot in shots.items()
         ]
+
+    def _seen(self, camera: str, image: Image) -> Image:
+        return np.zeros_like(image) if camera in self._breakage.dead_cameras else image
 
     def _telemetry(self) -> Telemetry:
         self._last_telemetry = self.t

@@ -11,8 +11,19 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Joints
-from athlete_twin.messages import BodyMove, Command, CommandSequence, ImageRequest, JointMove, LegMove, Stop, Wait
+from athlete_twin.driving import drive_move
+from athlete_twin.geometry.arrays import Joints, PerLeg
+from athlete_twin.messages import (
+    BodyMove,
+    Command,
+    CommandSequence,
+    Drive,
+    ImageRequest,
+    JointMove,
+    LegMove,
+    Stop,
+    Wait,
+)
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS
 from athlete_twin.moves import Move, MoveFailedError, Sensed, body_move, gravity_in_hex, joint_move, leg_move
@@ -66,12 +77,19 @@ class Executive:
     command_index: int = 0
     phases: list[str] = field(default_factory=lambda: ["stance"] * LEGS)
     """per leg "stance", "lift_off", "swing" or "descent", as the executive itself sees it"""
+    wheel_rates: PerLeg = field(default_factory=lambda: np.zeros(LEGS))
+    """of the wheels on their forks [rad/s]"""
     _queue: deque[CommandSequence] = field(default_factory=deque)
     _running: _Running | None = None
     _fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
     _allowed_fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
     _swing_force: np.ndarray | None = None
     """on the wheel that moves through the air, low-passed, in hex; None until it is off the ground [N]"""
+
+    @property
+    def rolling(self) -> bool:
+        """Whether the wheels are driven; they are locked otherwise."""
+        return bool(self.wheel_rates.any())
 
     @property
     def busy(self) -> bool:
@@ -87,6 +105,17 @@ class Executive:
             return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="failed", text=text)]
         self._queue.append(message)
         return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="queued")]
+
+    def brown_out(self) -> list[Event]:
+        """Power is lost: the sequence and the queue with it. Brakes hold; what to tell once power is back."""
+        run = self._running
+        sequence_id, index = (run.sequence.sequence_id, run.index) if run else (-1, -1)
+        self._running, self.state = None, "fault"
+        self._queue.clear()
+        self.wheel_rates[:] = 0.0
+        text = "power was lost: the sequence in execution and the queue are gone"
+        events = [Event(kind="fault", sequence_id=sequence_id, command_index=index, status="brown_out", text=text)]
+        return events + ([self._receipt(sequence_id, index, "failed", text)] if run else [])
 
     def tick(self, sensed: Sensed) -> list[Event]:
         """Advance by one control period: new `setpoint`, and what there is to tell."""
@@ -148,6 +177,8 @@ class Executive:
             return leg_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
         if isinstance(command, BodyMove):
             return body_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
+        if isinstance(command, Drive):
+            return drive_move(self.kin, command, self.setpoint, CONTROL_PERIOD, self.wheel_rates)
         raise MoveFailedError("bad_command", f"{type(command).__name__} is no motion")
 
     def _end(self, command: Command) -> None:
@@ -200,6 +231,7 @@ class Executive:
         run = self._running
         sequence_id, index = (run.sequence.sequence_id, run.index) if run else (-1, -1)
         self._running, self.state = None, "fault"
+        self.wheel_rates[:] = 0.0
         cancelled = [self._receipt(s.sequence_id, -1, "cancelled") for s in self._queue]
         self._queue.clear()
         fault = Event(
@@ -215,6 +247,7 @@ class Executive:
             )
         self._queue.clear()
         self._running, self.state = None, "stopped"
+        self.wheel_rates[:] = 0.0
         return events
 
     @staticmethod

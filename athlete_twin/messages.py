@@ -108,6 +108,25 @@ class BodyMove:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Drive:
+    """Roll on all six wheels in a straight line: steer, roll, steer back. The chassis keeps its posture and heading."""
+
+    kind: ClassVar[str] = "drive"
+    translation_in_hex: np.ndarray
+    """where to, shape (2,), in the hex plane [m]"""
+    speed: float
+    """of the chassis at most [m/s]"""
+
+    def __post_init__(self) -> None:
+        way = np.asarray(self.translation_in_hex, dtype=float)
+        if way.shape != (2,) or not np.isfinite(way).all():
+            raise CommandError(f"translation_in_hex must be two finite lengths, got {way}")
+        if not (np.isfinite(self.speed) and self.speed > 0.0):
+            raise CommandError(f"drive speed {self.speed} m/s must be positive")
+        object.__setattr__(self, "translation_in_hex", way)
+
+
+@dataclass(frozen=True, kw_only=True)
 class ImageRequest:
     """Take stereo pairs, one of each named camera, at the same time."""
 
@@ -136,7 +155,7 @@ class Wait:
             raise CommandError(f"wait of {self.duration} s is outside 0 to 3600 s")
 
 
-Command = JointMove | LegMove | BodyMove | ImageRequest | Wait
+Command = JointMove | LegMove | BodyMove | Drive | ImageRequest | Wait
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -253,7 +272,7 @@ class Fault(Message):
 
 
 _KINDS: dict[str, type[Message]] = {c.topic: c for c in (CommandSequence, Stop, Telemetry, StereoPair, Receipt, Fault)}
-_COMMANDS: dict[str, type] = {c.kind: c for c in (JointMove, LegMove, BodyMove, ImageRequest, Wait)}
+_COMMANDS: dict[str, type] = {c.kind: c for c in (JointMove, LegMove, BodyMove, Drive, ImageRequest, Wait)}
 
 
 def encode(message: Message) -> bytes:

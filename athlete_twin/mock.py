@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from athlete_twin.driving import rolling_velocities
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
 from athlete_twin.geometry.arrays import Image, Joints, PerLeg, PerLegFlag, Vec2, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
@@ -21,6 +22,7 @@ from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.moves import Sensed
 from athlete_twin.robot import ViewTruth
+from athlete_twin.world.injected import InjectedFault
 
 TELEMETRY_PERIOD = 1.0
 """while a sequence runs, DESIGN.md [s]"""
@@ -68,6 +70,7 @@ class MockAthlete:
         self.executive = Executive(kin=self.kin, setpoint=regular_stance(spec))
         self.t = 0.0
         self.collisions: list[MockCollision] = []
+        self.injected: list[InjectedFault] = []
         self.track: list[MockTrackPoint] = []
         self.peak_torque_fraction = 0.0
         self._counts: dict[str, int] = {}
@@ -137,7 +140,11 @@ class MockAthlete:
         sensed = Sensed(joints=self.executive.setpoint, torques=torques, attitude_rpy=self._world_from_hex.rpy())
         before = self.executive.setpoint
         events = self.executive.tick(sensed)
-        if self.executive.setpoint is not before:
+        if self.executive.rolling:
+            turn = SE3.from_rpy(0.0, 0.0, float(self._place_xy_yaw[2]))
+            velocities = rolling_velocities(self.kin, self.executive.setpoint, self.executive.wheel_rates)
+            self._anchors = self._anchors + CONTROL_PERIOD * turn.rotate(velocities)[:, :2]
+        if self.executive.rolling or self.executive.setpoint is not before:
             self._settle()
         self.t += CONTROL_PERIOD
         if self.t - self._last_track >= TRACK_PERIOD:

@@ -14,6 +14,7 @@ import numpy as np
 from athlete_twin.geometry.arrays import DepthMap, Image, Joints, PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Message, Stop
+from athlete_twin.world.injected import InjectedFault
 
 
 @runtime_checkable
@@ -163,6 +164,10 @@ class SimulatedRobot(Robot, Protocol):
     @property
     def collisions(self) -> Sequence[CollisionView]:
         """Contact episodes so far."""
+
+    @property
+    def injected(self) -> Sequence[InjectedFault]:
+        """What the scenario has broken so far."""
 
     def truth(self) -> TruthView:
         """What is really so now."""

@@ -16,6 +16,7 @@ from athlete_twin.messages import (
     EXECUTIVE_STATES,
     BodyMove,
     Command,
+    Drive,
     Fault,
     ImageRequest,
     JointMove,
@@ -28,7 +29,7 @@ from athlete_twin.messages import (
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import stance_wheels_in_hex
 
-KINDS = ("nothing", "joint_move", "leg_move", "body_move", "images", "stop")
+KINDS = ("nothing", "joint_move", "leg_move", "body_move", "images", "stop", "drive")
 """what the action's `kind` counts"""
 GUARD_NAMES = ("none", "break_contact", "contact")
 BINNING = 4
@@ -37,6 +38,8 @@ WHEEL_SPAN = 1.0
 """a leg move's target lies within so much of the normal stance along each axis [m]"""
 SHIFT_SPAN = 0.5
 """largest chassis shift along each axis [m]"""
+DRIVE_SPAN = 2.0
+"""longest drive along x and y, at the robot's own speed [m]"""
 TURN_SPAN = 0.2
 """largest chassis turn about each axis [rad]"""
 CONTACT_SHARE = 0.4
@@ -65,6 +68,7 @@ def uplink_action_space(spec: RobotSpec, cameras: tuple[str, ...]) -> gym.spaces
             "guard": gym.spaces.Discrete(len(GUARD_NAMES)),
             "shift": _unit(3),
             "turn": _unit(3),
+            "drive": _unit(2),
             "cameras": gym.spaces.MultiBinary(len(cameras)),
         }
     )
@@ -87,6 +91,9 @@ def command_of(action: Action, spec: RobotSpec, cameras: tuple[str, ...]) -> Com
     if kind == "body_move":
         shift, turn = (np.clip(np.asarray(action[k], dtype=float), -1.0, 1.0) for k in ("shift", "turn"))
         return BodyMove(translation_in_hex=SHIFT_SPAN * shift, rotvec_in_hex=TURN_SPAN * turn)
+    if kind == "drive":
+        way = DRIVE_SPAN * np.clip(np.asarray(action["drive"], dtype=float), -1.0, 1.0)
+        return Drive(translation_in_hex=way, speed=spec.drive_speed)
     if kind == "images":
         named = tuple(c for c, wanted in zip(cameras, np.asarray(action["cameras"]), strict=True) if wanted)
         return ImageRequest(cameras=named, binning=BINNING) if named else None

@@ -157,7 +157,7 @@ class Trial:
         self._kin = Kinematics(self.spec)
         self._tipped = False
         self._last_completed = -1
-        self._written = [0, 0]
+        self._written = [0, 0, 0]
         with Recorder(self.out / "trial.mcap", metadata=metadata) as self._recorder:
             self._recorder.ground_truth(self.grid)
             self.mission = Mission(
@@ -254,12 +254,14 @@ class Trial:
         self._record_track()
 
     def _record_track(self) -> None:
-        track, collisions = self.robot.track, self.robot.collisions
+        track, collisions, injected = self.robot.track, self.robot.collisions, self.robot.injected
         for point in track[self._written[0] :]:
             self._recorder.track(point)
         for collision in collisions[self._written[1] :]:
             self._recorder.collision(collision)
-        self._written = [len(track), len(collisions)]
+        for fault in injected[self._written[2] :]:
+            self._recorder.write("/truth/injected_fault", asdict(fault), fault.t)
+        self._written = [len(track), len(collisions), len(injected)]
 
     def _result(self, outcome: str, reason: str) -> TrialResult:
         setup, mission, scorer, truth = self.setup, self.mission, self.scorer, self.robot.truth()

@@ -138,6 +138,9 @@ class GroundAgent:
         elif isinstance(message, Fault):
             if self._sent is not None and message.sequence_id == self._sent.sequence.sequence_id:
                 self._sent.fault = message
+            elif self._sent is not None and message.code == "brown_out" and message.t >= self._sent.sequence.t:
+                # What went up into the dark never arrived: there will be no receipt.
+                self._sent.fault, self._sent.done = message, True
         elif isinstance(message, Receipt) and self._sent is not None:
             ours = message.sequence_id == self._sent.sequence.sequence_id
             if ours and message.command_index >= 0 and message.status == "completed":

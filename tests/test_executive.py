@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from athlete_twin.driving import rolling_velocities
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
-from athlete_twin.messages import BodyMove, CommandSequence, ImageRequest, JointMove, LegMove, Stop, Wait
+from athlete_twin.messages import BodyMove, CommandSequence, Drive, ImageRequest, JointMove, LegMove, Stop, Wait
 from athlete_twin.model.kinematics import kinematics
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
@@ -226,3 +227,39 @@ def test_a_full_queue_refuses_with_a_receipt():
     e = executive()
     statuses = [e.accept(sequence(Wait(duration=1.0), number=n))[0].status for n in range(10)]
     assert statuses.count("failed") == 2
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("heading_deg", [0.0, 35.0, 90.0, -160.0])
+def test_a_drive_steers_all_wheels_across_the_way_rolls_its_length_and_steers_back(robot, heading_deg):
+    e = executive(robot)
+    before = e.setpoint.copy()
+    way = np.array([np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg))])
+    e.accept(sequence(Drive(translation_in_hex=1.5 * way, speed=e.kin.spec.drive_speed)))
+    covered, fastest = np.zeros((6, 3)), 0.0
+    while e.busy:
+        events = e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(before), attitude_rpy=np.zeros(3)))
+        assert not faults(events)
+        if e.rolling:
+            velocities = rolling_velocities(e.kin, e.setpoint, e.wheel_rates)
+            covered += velocities * CONTROL_PERIOD
+            fastest = max(fastest, float(np.linalg.norm(velocities, axis=1).max()))
+            for leg in range(6):
+                axle = e.kin.leg_wheel(leg, e.setpoint[leg]).rotation[:, 1]
+                assert abs(axle[:2] @ way) < 1e-3
+    np.testing.assert_allclose(covered[:, :2], np.tile(1.5 * way, (6, 1)), atol=0.03)
+    np.testing.assert_allclose(e.setpoint, before, atol=1e-9)
+    assert fastest <= e.kin.spec.drive_speed * (1 + 1e-6)
+    assert not e.wheel_rates.any()
+
+
+def test_a_drive_faster_than_the_robot_is_a_bad_command_and_a_stop_locks_the_wheels():
+    e = executive()
+    e.accept(sequence(Drive(translation_in_hex=np.array([1.0, 0.0]), speed=2.0)))
+    (fault,) = [event for event in run(e) if event.kind == "fault"]
+    assert fault.status == "bad_command" and "2.00 m/s is above sdm_b's 0.83 m/s" in fault.text
+    e.accept(sequence(Drive(translation_in_hex=np.array([5.0, 0.0]), speed=0.5), number=2))
+    while not e.rolling:
+        e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(e.setpoint), attitude_rpy=np.zeros(3)))
+    e.accept(Stop(seq=0, robot_id="sdm_b", t=0.0))
+    assert not e.rolling

@@ -10,6 +10,7 @@ from athlete_twin.errors import CommandError, MessageError
 from athlete_twin.messages import (
     BodyMove,
     CommandSequence,
+    Drive,
     Fault,
     ImageRequest,
     JointMove,
@@ -39,6 +40,7 @@ commands = st.one_of(
     st.builds(
         LegMove, leg=legs, wheel_in_hex=vectors(3), guard=st.just("contact"), contact_load=st.floats(1.0, 5000.0)
     ),
+    st.builds(Drive, translation_in_hex=vectors(2), speed=st.floats(0.01, 1.0)),
     st.builds(BodyMove, translation_in_hex=vectors(3), rotvec_in_hex=vectors(3), wheel_offsets_in_hex=vectors(6, 3)),
     st.builds(ImageRequest, cameras=st.tuples(st.text(max_size=9)), binning=st.sampled_from([1, 2, 4])),
     st.builds(Wait, duration=st.floats(0.0, 3600.0)),
@@ -133,6 +135,8 @@ def test_log_content_carries_the_header(message):
         (lambda: LegMove(leg=0, wheel_in_hex=np.zeros(3), guard="soft"), "guard 'soft' is not one of"),
         (lambda: LegMove(leg=0, wheel_in_hex=np.zeros(3), guard="contact"), "needs a positive contact_load"),
         (lambda: BodyMove(translation_in_hex=np.full(3, np.nan)), "translation_in_hex must be finite"),
+        (lambda: Drive(translation_in_hex=np.array([1.0, np.inf]), speed=0.5), "two finite lengths"),
+        (lambda: Drive(translation_in_hex=np.array([1.0, 0.0]), speed=-0.5), "speed -0.5 m/s must be positive"),
         (lambda: ImageRequest(cameras=()), "names no camera"),
         (lambda: ImageRequest(cameras=("navcam_1",), binning=3), "binning 3 is not one of"),
         (lambda: Wait(duration=-1.0), "wait of -1.0 s is outside"),

@@ -8,6 +8,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import (
     BodyMove,
     CommandSequence,
+    Drive,
     Fault,
     ImageRequest,
     LegMove,
@@ -177,3 +178,14 @@ def test_sky_is_bright_and_untextured():
     rays = np.array([[[0.0, 0.0, 1.0], [0.1, 0.0, 1.0]]])
     upward = SE3.from_translation(np.array([0.0, 0.0, 1.5]))
     assert (ground_picture(rays, upward) == 225).all()
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_drive_moves_the_mock_by_its_length_and_nothing_else(name):
+    robot = MockAthlete(load_spec(name))
+    before, stance = robot.truth().world_from_hex, robot.executive.setpoint.copy()
+    carried_out(robot, Drive(translation_in_hex=np.array([0.9, -0.4]), speed=0.4))
+    after = robot.truth().world_from_hex
+    np.testing.assert_allclose(after.translation - before.translation, [0.9, -0.4, 0.0], atol=0.02)
+    np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-3)
+    np.testing.assert_allclose(robot.executive.setpoint, stance, atol=1e-9)

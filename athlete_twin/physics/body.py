@@ -147,6 +147,14 @@ class Body:
         """Torques carried by the joints, shape (6, dof) [N m]."""
         return self._ready()[0].torques(self.joints)
 
+    def stick(self, leg: int, joint: int) -> None:
+        """From now on the motor of one joint does not turn."""
+        self._ready()[0].stuck[leg, joint] = True
+
+    def lose_pressure(self, leg: int, scale: float) -> None:
+        """From now on one tyre has only this part of its stiffness."""
+        self._ready()[1].lose_pressure(leg, scale)
+
     @property
     def stiffness(self) -> Joints:
         """Series stiffness of the joints, shape (6, dof) [N m/rad]."""

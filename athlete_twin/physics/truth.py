@@ -46,8 +46,6 @@ class Truth:
     tyre_lateral_stiffness: float
     """[N/m]"""
     tyre_damping_ratio: float
-    tyre_pressure: float
-    """in the patch, once it has grown [Pa]"""
     tyre_drive_torque: float
     """of a wheel's motor at most [N m]"""
     dock_bend_stiffness: float
@@ -115,7 +113,6 @@ def load_truth(robot: str) -> Truth:
             tyre_k2=figure(c["tyre"]["k2"]),
             tyre_lateral_stiffness=figure(c["tyre"]["lateral_stiffness"]),
             tyre_damping_ratio=figure(c["tyre"]["damping_ratio"]),
-            tyre_pressure=figure(c["tyre"]["pressure"]),
             tyre_drive_torque=figure(c["tyre"]["drive_torque"]),
             dock_bend_stiffness=figure(c["dock"]["bend_stiffness"]),
             dock_twist_stiffness=figure(c["dock"]["twist_stiffness"]),

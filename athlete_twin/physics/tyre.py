@@ -86,7 +86,7 @@ class Tyres:
         self, wheel: WheelSpec, trial: TrialTruth, ground: HeightGrid, footing: Footing, *, sprung_mass: float
     ) -> None:
         truth = trial.truth
-        self._pressure = truth.tyre_pressure
+        self._pressure = wheel.pressure
         self._soil = footing.soil
         self._radius, self._width = wheel.radius, wheel.width
         self._k1 = truth.tyre_k1 * trial.tyre_scale

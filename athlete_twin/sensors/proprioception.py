@@ -80,6 +80,10 @@ class Proprioception:
         self._seed = seed
         self._zero = np.array(encoder_zero, dtype=float)
         self._noise = ProprioceptionNoise() if noise is None else noise
+        self.encoder_bias = np.zeros_like(self._zero)
+        """what the encoders after the spring read too much besides, by a fault, shape (6, dof) [rad]"""
+        self.torque_offset = np.zeros_like(self._zero)
+        """what the torque readings are off by, by a fault [N m]"""
         self._yaw_error = 0.0
         self._drifted_until = 0.0
 
@@ -108,12 +112,12 @@ class Proprioception:
             index: counts the readings of a trial; keys the noise.
         """
         rng = np.random.default_rng([self._seed, zlib.crc32(b"proprioception"), index])
-        measured_joints = self._encode(joints + self._zero)
+        measured_joints = self._encode(joints + self._zero + self.encoder_bias)
         # The relative encoder is zeroed against the absolute one at rest, so both carry the same error.
         measured_motors = self._encode(motors + self._zero)
         n = self._noise
         gain = 1.0 + n.torque_fraction * rng.standard_normal(joints.shape)
-        torques = (measured_motors - measured_joints) * stiffness * gain
+        torques = (measured_motors - measured_joints) * stiffness * gain + self.torque_offset
         roll, pitch, yaw = world_from_hex.rpy()
         self._drift(t)
         tilt = n.attitude * rng.standard_normal(2)

@@ -18,6 +18,7 @@ import numpy as np
 from athlete_twin.assets import assets_root, named_toml, read_toml
 from athlete_twin.errors import ConfigError, TerrainError
 from athlete_twin.world.height_map import read_height_map
+from athlete_twin.world.injected import BOUNDS, NEEDS, InjectedFault
 from athlete_twin.world.soil import MATERIALS
 
 MAP_MARGIN = 4.0
@@ -93,6 +94,8 @@ class Scenario:
     rocks: RockField
     placed_rocks: tuple[Rock, ...]
     """rocks that lie there whatever the seed"""
+    faults: tuple[InjectedFault, ...]
+    """what breaks and when, in the order of time"""
     sun_elevation: float
     """above the horizon [rad]"""
     sun_azimuth: float
@@ -161,7 +164,7 @@ _ROCK = {
 }
 _SUN = {"elevation_deg": Number(5.0, 90.0, 40.0), "azimuth_deg": Number(-360.0, 360.0, 120.0)}
 _TEXTS = ("name", "description", "soil")
-_TABLES = ("ground", "rocks", "rock", "sun")
+_TABLES = ("ground", "rocks", "rock", "sun", "fault")
 
 
 def load_scenario(name_or_path: str) -> Scenario:
@@ -222,6 +225,7 @@ def scenario_from_content(content: dict[str, Any], path: Path) -> Scenario:
             big_diameter=rocks["big_diameter"],
         ),
         placed_rocks=_placed(path, content),
+        faults=_injected(path, content),
         sun_elevation=float(np.deg2rad(sun["elevation_deg"])),
         sun_azimuth=float(np.deg2rad(sun["azimuth_deg"])),
     )
@@ -267,6 +271,32 @@ def _placed(path: Path, content: dict[str, Any]) -> tuple[Rock, ...]:
         _known(path, prefix, entry, list(_ROCK))
         out.append(Rock(**_numbers(path, prefix, entry, _ROCK)))
     return tuple(out)
+
+
+def _injected(path: Path, content: dict[str, Any]) -> tuple[InjectedFault, ...]:
+    entries = content.get("fault", [])
+    if not isinstance(entries, list) or not all(isinstance(e, dict) for e in entries):
+        raise ConfigError(f"{path}: fault must be tables [[fault]] with kind, t and what the kind needs, got {entries!r}")
+    out = []
+    for i, entry in enumerate(entries):
+        prefix = f"fault[{i}]."
+        kind = _text(path, "kind", entry, None, prefix=prefix)
+        if kind not in NEEDS:
+            raise ConfigError(f"{path}: {prefix}kind = {kind!r} is not known{_did_you_mean(kind, list(NEEDS))}")
+        _known(path, prefix, entry, ["kind", "t", *NEEDS[kind]])
+        rules = {"t": Number(0.0, 1e6)}
+        if "leg" in NEEDS[kind]:
+            rules["leg"] = Number(1.0, 6.0, whole=True)
+        if "value" in NEEDS[kind]:
+            rules["value"] = Number(*BOUNDS[kind])
+        numbers = _numbers(path, prefix, {k: v for k, v in entry.items() if k in ("t", "leg", "value")}, rules)
+        texts = {k: _text(path, k, entry, None, prefix=prefix) for k in ("joint", "camera") if k in NEEDS[kind]}
+        out.append(
+            InjectedFault(
+                kind=kind, t=numbers["t"], leg=int(numbers.get("leg", 0)) - 1, value=numbers.get("value", 0.0), **texts
+            )
+        )
+    return tuple(sorted(out, key=lambda f: f.t))
 
 
 def _numbers(path: Path, prefix: str, content: dict[str, Any], keys: dict[str, Number]) -> dict[str, float]:

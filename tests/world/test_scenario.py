@@ -67,6 +67,10 @@ def test_a_minimal_file_is_enough(tmp_path):
         ("k = 0.1", "k = 0.1\nd_min = 0.9\nd_max = 0.5", r"rocks\.d_min = 0\.9 m must be below rocks\.d_max"),
         ("k = 0.1", "min_big_across_line = 2", r"min_big_across_line needs rocks\.k > 0"),
         ("k = 0.1", "k = 0.1\n[[rock]]\nx = 1.0", r"rock\[0\]\.y is missing"),
+        ("k = 0.1", 'k = 0.1\n[[fault]]\nkind = "stuck_jont"\nt = 1', r"'stuck_jont' is not known; did you mean 'stuck_joint'"),
+        ("k = 0.1", 'k = 0.1\n[[fault]]\nkind = "soft_tyre"\nt = 1\nleg = 7\nvalue = 0.5', r"fault\[0\]\.leg = 7 .* 1 to 6"),
+        ("k = 0.1", 'k = 0.1\n[[fault]]\nkind = "soft_tyre"\nt = 1\nleg = 2', r"fault\[0\]\.value is missing; .* 0\.05 to 1"),
+        ("k = 0.1", 'k = 0.1\n[[fault]]\nkind = "brown_out"\nt = 1\nleg = 2', r"fault\[0\]\.leg \(= 2\) is not known"),
     ],
 )
 def test_what_is_wrong_is_named_in_one_line(tmp_path, old, new, says):
@@ -143,3 +147,23 @@ def test_missing_damaged_and_8_bit_maps_are_refused(tmp_path):
         path = write(tmp_path, MAP.format(file=file, more="map_cell = 0.1\nheight_unit = 0.001"))
         with pytest.raises(ConfigError, match=says):
             load_scenario(path)
+
+
+def test_injected_faults_come_in_the_order_of_time_with_legs_from_zero(tmp_path):
+    tables = """
+[[fault]]
+kind = "brown_out"
+t = 300
+value = 12.5
+
+[[fault]]
+kind = "encoder_bias"
+t = 20
+leg = 3
+joint = "knee_pitch"
+value = -0.2
+"""
+    first, second = load_scenario(write(tmp_path, GOOD + tables)).faults
+    assert (first.kind, first.t, first.leg, first.joint, first.value) == ("encoder_bias", 20.0, 2, "knee_pitch", -0.2)
+    assert (second.kind, second.leg, second.value) == ("brown_out", -1, 12.5)
+    assert load_scenario(write(tmp_path, GOOD)).faults == ()
