@@ -35,6 +35,16 @@ class Servos:
         torques = self.stiffness * (self.motors - links) - self.damping * link_rates
         return np.asarray(np.clip(torques, -self.limits, self.limits))
 
+    def state(self) -> dict[str, np.ndarray]:
+        """Copies of all that changes from tick to tick, for `set_state`."""
+        return {
+            "motors": self.motors.copy(),
+        }
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Back to what `state` gave."""
+        self.motors = state["motors"].copy()
+
     def torques(self, links: Joints) -> Joints:
         """Torque carried by the springs [N m]."""
         return np.asarray(self.stiffness * (self.motors - links))

@@ -75,6 +75,16 @@ class Tyres:
         )  # fmt: skip
         return TyreForces(forces_in_world=forces, patches_in_world=patches, deflections=deflections, loads=loads)
 
+    def state(self) -> dict[str, np.ndarray]:
+        """Copies of all that changes from tick to tick, for `set_state`."""
+        return {
+            "bristles": self._bristles.copy(),
+        }
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Back to what `state` gave."""
+        self._bristles = state["bristles"].copy()
+
     def hull_depths(self, axles: np.ndarray, axes: np.ndarray) -> tuple[PerLeg, Wheels]:
         """How deep each unloaded wheel's hull is inside the ground, along its normal [m], and where, (6, 3) [m]."""
         depths, places = _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._grid, HULL_ANGLES)

@@ -9,7 +9,7 @@ from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.physics.body import Body
 from athlete_twin.physics.truth import nominal_truth
-from athlete_twin.world.bullet_world import BulletWorld
+from athlete_twin.world.bullet_world import TICK, BulletWorld
 
 MakeBody = Callable[..., Body]
 
@@ -24,9 +24,16 @@ def make_body() -> Iterator[MakeBody]:
     """Builds a robot of nominal truth in its regular stance; its worlds are closed afterwards."""
     worlds: list[BulletWorld] = []
 
-    def make(robot: str, *, ground: HeightGrid | None = None, foot_radius: float | None = None, height: float | None = None) -> Body:
+    def make(
+        robot: str,
+        *,
+        ground: HeightGrid | None = None,
+        foot_radius: float | None = None,
+        height: float | None = None,
+        tick: float = TICK,
+    ) -> Body:
         spec = load_spec(robot)
-        world = BulletWorld(flat() if ground is None else ground)
+        world = BulletWorld(flat() if ground is None else ground, tick=tick)
         worlds.append(world)
         body = Body(world, spec, nominal_truth(spec), friction=0.7)
         joints = regular_stance(spec, foot_radius, height)
