@@ -1,13 +1,16 @@
 """The robot's true body in Bullet: articulated rigid links from the URDF, servos, tyres and docks as forces, no motor rows.
 
-`step` is one tick of 1/240 s: servo torques and tyre forces from the state after the last tick, then Bullet's
+`step` is one tick of the world (1/240 s): servo torques and tyre forces from the state after the last tick, then Bullet's
 articulated-body step. Hull contacts (anything but a wheel on ground or robot) are Bullet's own and are read out for the
 collision record; wheels carry no Bullet contact, since the tyre is a force, and are watched by `Tyres.hull_depths`.
 """
 
 from __future__ import annotations
 
+import copy
+import weakref
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -21,7 +24,7 @@ from athlete_twin.physics.flex import DockFlex
 from athlete_twin.physics.servo import Servos
 from athlete_twin.physics.truth import TrialTruth
 from athlete_twin.physics.tyre import Footing, TyreForces, Tyres
-from athlete_twin.world.bullet_world import TICK, BulletWorld
+from athlete_twin.world.bullet_world import BulletWorld
 
 WHEEL_LOCK = 2.0e4
 """holds a locked wheel against its fork [N m/rad]"""
@@ -31,6 +34,11 @@ DISTAL = ("knee_pitch", "knee_roll", "ankle_pitch", "ankle_roll")
 """links that get the truth's armature"""
 RUNAWAY_SPEED = 20.0
 """a chassis faster than this is no robot any more [m/s]"""
+READS = (
+    "joints", "rates", "_wheel_angles", "_wheel_rates", "dock_angles", "_dock_rates",
+    "axles", "axes", "_axle_velocities", "_axle_spins", "tyre", "_locked_at",
+)  # fmt: skip
+"""what `Body` keeps of the last tick; Bullet's snapshot does not hold them"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +53,23 @@ class HullContact:
     """[m]"""
     force: float
     """normal force [N]"""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BodyState:
+    """One moment of one body, to come back to. Bullet's share of it is freed when nobody holds this any more."""
+
+    world: BulletWorld
+    """it was made in, and can be restored in"""
+    snapshot: int
+    """Bullet's number for its own part"""
+    servos: dict[str, np.ndarray]
+    tyres: dict[str, np.ndarray]
+    reads: dict[str, Any]
+    """of the last tick, by the names in `READS`"""
+
+    def __post_init__(self) -> None:
+        weakref.finalize(self, self.world.forget, self.snapshot).atexit = False
 
 
 class Body:
@@ -108,7 +133,7 @@ class Body:
         """
         servos, tyres = self._ready()
         b, client, robot = self._bullet, self._client, self.robot
-        torques = servos.step(self.joints, self.rates, commands, rate_limits, TICK)
+        torques = servos.step(self.joints, self.rates, commands, rate_limits, self.world.tick)
         if wheel_rates is None:
             wheel = -WHEEL_LOCK * (self._wheel_angles - self._locked_at) - self._wheel_damping * self._wheel_rates
         else:
@@ -123,7 +148,7 @@ class Body:
             forces=np.concatenate([torques.ravel(), wheel, dock]).tolist(),
             physicsClientId=client,
         )
-        ground = tyres.step(self.axles, self.axes, self._axle_velocities, self._axle_spins, TICK)
+        ground = tyres.step(self.axles, self.axes, self._axle_velocities, self._axle_spins, self.world.tick)
         self.tyre = ground
         for leg in range(LEGS):
             if ground.loads[leg] > 0.0:
@@ -137,6 +162,24 @@ class Body:
                 )
         b.stepSimulation(physicsClientId=client)
         self._read()
+
+    def save(self) -> BodyState:
+        """This moment: what follows `restore` of it equals what follows now, to the last bit."""
+        servos, tyres = self._ready()
+        reads = {name: copy.copy(vars(self)[name]) for name in READS if name in vars(self)}
+        return BodyState(
+            world=self.world, snapshot=self.world.save(), servos=servos.state(), tyres=tyres.state(), reads=reads
+        )
+
+    def restore(self, state: BodyState) -> None:
+        """Back to a moment that this body saved."""
+        servos, tyres = self._ready()
+        if state.world is not self.world:
+            raise PhysicsError("the state was saved in another world: only the world it was saved in can restore it")
+        self.world.restore(state.snapshot)
+        servos.set_state(state.servos)
+        tyres.set_state(state.tyres)
+        vars(self).update({name: copy.copy(read) for name, read in state.reads.items()})
 
     @property
     def motors(self) -> Joints:
@@ -225,7 +268,10 @@ class Body:
         self.rates: Joints = rates[:n].reshape(LEGS, -1)
         self._wheel_angles, self._wheel_rates = angles[n : n + LEGS], rates[n : n + LEGS]
         self.dock_angles, self._dock_rates = angles[n + LEGS :], rates[n + LEGS :]
-        wheels = b.getLinkStates(self.robot, self._wheels, computeLinkVelocity=1, physicsClientId=client)
+        # Without fresh kinematics Bullet's link poses are a tick old, and so is the place where the tyre's force would act.
+        wheels = b.getLinkStates(
+            self.robot, self._wheels, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
+        )
         self.axles: Wheels = np.array([w[4] for w in wheels])
         """axle centres in world, shape (6, 3) [m]"""
         x, y, z, w = np.array([s[5] for s in wheels]).T

@@ -63,6 +63,16 @@ class Servos:
         friction = self._friction * (self._rubbed / RUBBING_STROKE)
         return np.asarray(self.torques(links) - self.damping * link_rates - friction)
 
+    def state(self) -> dict[str, np.ndarray]:
+        """Copies of all that changes from tick to tick, for `set_state`."""
+        names = ("motors", "slipped", "stuck", "_rubbed")
+        return {name: getattr(self, name).copy() for name in names}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Back to what `state` gave."""
+        for name, value in state.items():
+            setattr(self, name, value.copy())
+
     def torques(self, links: Joints) -> Joints:
         """Torque carried by the springs [N m]."""
         return np.asarray(self.stiffness * (self.motors - self.slipped - links))

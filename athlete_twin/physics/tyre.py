@@ -144,6 +144,16 @@ class Tyres:
         )  # fmt: skip
         return TyreForces(forces_in_world=forces, patches_in_world=patches, deflections=deflections, loads=loads)
 
+    def state(self) -> dict[str, np.ndarray]:
+        """Copies of all that changes from tick to tick, for `set_state`."""
+        names = ("_bristles", "_ruts", "_k1", "_k2", "_kt", "_sinkage")
+        return {name: getattr(self, name).copy() for name in names}
+
+    def set_state(self, state: dict[str, np.ndarray]) -> None:
+        """Back to what `state` gave."""
+        for name, value in state.items():
+            setattr(self, name, value.copy())
+
     def hull_depths(self, axles: np.ndarray, axes: np.ndarray) -> tuple[PerLeg, Wheels]:
         """How deep each unloaded wheel's hull is inside the ground, along its normal [m], and where, (6, 3) [m]."""
         depths, places = _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._slopes, self._grid, HULL_ANGLES)

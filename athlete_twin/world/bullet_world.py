@@ -12,11 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from athlete_twin.errors import PhysicsError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.model.kinematics import GRAVITY
 
 TICK = 1.0 / 240.0
-"""physics tick [s]"""
+"""default physics tick, and the coarsest: the gains of servos and tyres are made for it [s]"""
 SOLVER_ITERATIONS = 20
 """only hull contacts make constraint rows, and few at a time"""
 
@@ -40,13 +41,17 @@ def _bullet() -> Any:
 class BulletWorld:
     """Owns one DIRECT client; every call names it. Rebuilt, never reset: only a rebuilt world is bit-exact."""
 
-    def __init__(self, ground: HeightGrid) -> None:
+    def __init__(self, ground: HeightGrid, *, tick: float = TICK) -> None:
+        if not 0.0 < tick <= TICK:
+            raise PhysicsError(f"tick is {tick} s, must be above 0 and at most {TICK:.6f} s (240 Hz)")
         pybullet = _bullet()
+        self.tick = tick
+        """[s]"""
         self.bullet: Any = pybullet
         self.client: int = pybullet.connect(pybullet.DIRECT)
         pybullet.setGravity(0.0, 0.0, -GRAVITY, physicsClientId=self.client)
         pybullet.setPhysicsEngineParameter(
-            fixedTimeStep=TICK,
+            fixedTimeStep=tick,
             numSolverIterations=SOLVER_ITERATIONS,
             deterministicOverlappingPairs=1,
             physicsClientId=self.client,
@@ -65,6 +70,22 @@ class BulletWorld:
         if self.client >= 0:
             self.bullet.disconnect(physicsClientId=self.client)
             self.client = -1
+
+    def save(self) -> int:
+        """Bullet's number for a snapshot of its state, to be given to `restore` and at last to `forget`."""
+        number = int(self.bullet.saveState(physicsClientId=self.client))
+        if number < 0:
+            raise PhysicsError("Bullet could not save its state")
+        return number
+
+    def restore(self, number: int) -> None:
+        """Back to a snapshot."""
+        self.bullet.restoreState(stateId=number, physicsClientId=self.client)
+
+    def forget(self, number: int) -> None:
+        """Free a snapshot; after `close` there is nothing left to free."""
+        if self.client >= 0:
+            self.bullet.removeState(number, physicsClientId=self.client)
 
     def _load_ground(self, ground: HeightGrid) -> int:
         nx, ny = ground.shape

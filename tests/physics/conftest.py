@@ -10,7 +10,7 @@ from athlete_twin.model.stance import regular_stance
 from athlete_twin.physics.body import Body
 from athlete_twin.physics.truth import nominal_truth
 from athlete_twin.physics.tyre import Footing
-from athlete_twin.world.bullet_world import BulletWorld
+from athlete_twin.world.bullet_world import TICK, BulletWorld
 
 MakeBody = Callable[..., Body]
 
@@ -25,9 +25,16 @@ def make_body() -> Iterator[MakeBody]:
     """Builds a robot of nominal truth in its regular stance; its worlds are closed afterwards."""
     worlds: list[BulletWorld] = []
 
-    def make(robot: str, *, ground: HeightGrid | None = None, foot_radius: float | None = None, height: float | None = None) -> Body:
+    def make(
+        robot: str,
+        *,
+        ground: HeightGrid | None = None,
+        foot_radius: float | None = None,
+        height: float | None = None,
+        tick: float = TICK,
+    ) -> Body:
         spec = load_spec(robot)
-        world = BulletWorld(flat() if ground is None else ground)
+        world = BulletWorld(flat() if ground is None else ground, tick=tick)
         worlds.append(world)
         body = Body(world, spec, nominal_truth(spec), footing=Footing.hard(0.7))
         joints = regular_stance(spec, foot_radius, height)
