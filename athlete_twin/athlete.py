@@ -404,13 +404,15 @@ class Athlete:
         )
 
     def _look_for_collisions(self) -> None:
-        found = [(c.part, c.other, c.place_in_world, c.force) for c in self.body.hull_contacts()]
+        found = [(c.part, c.other, c.place_in_world, c.force, c.force > 0.0) for c in self.body.hull_contacts()]
         depths, places = self.body.hull_depths()
         for leg, phase in enumerate(self.executive.phases):
             if phase == "swing" and depths[leg] > STRIKE_DEPTH:
-                found.append((f"wheel{leg + 1}", "ground", places[leg], float(self.body.tyre.loads[leg])))
-        for part, other, place, force in found:
+                found.append((f"wheel{leg + 1}", "ground", places[leg], float(self.body.tyre.loads[leg]), True))
+        for part, other, place, force, begins in found:
             pair = (part, other)
-            if self.t - self._touching.get(pair, -np.inf) > EPISODE_GAP:
+            goes_on = self.t - self._touching.get(pair, -np.inf) <= EPISODE_GAP
+            if begins and not goes_on:
                 self.collisions.append(Collision(t=self.t, part=part, other=other, place_in_world=place, force=force))
-            self._touching[pair] = self.t
+            if begins or goes_on:
+                self._touching[pair] = self.t

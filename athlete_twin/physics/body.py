@@ -52,7 +52,7 @@ class HullContact:
     place_in_world: Vec3
     """[m]"""
     force: float
-    """normal force [N]"""
+    """normal force [N]; 0 for parts within Bullet's margin that press nothing, as a hull does while it chatters"""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -243,8 +243,6 @@ class Body:
         found = self._bullet.getContactPoints(bodyA=self.robot, physicsClientId=self._client) or ()
         contacts = []
         for c in found:
-            if c[9] <= 0.0:  # within Bullet's margin, pressing nothing
-                continue
             other = "ground" if c[2] == self.world.ground_body else self._names.get(c[4], "hex")
             part = self._names.get(c[3], "hex")
             contacts.append(HullContact(part=part, other=other, place_in_world=np.array(c[5]), force=float(c[9])))
