@@ -10,8 +10,9 @@ from __future__ import annotations
 import copy
 import weakref
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, no_type_check
 
+import numba
 import numpy as np
 import pinocchio as pin
 
@@ -164,8 +165,16 @@ class Body:
         self._read()
 
     def save(self) -> BodyState:
-        """This moment: what follows `restore` of it equals what follows now, to the last bit."""
+        """This moment: what follows `restore` of it equals what follows now, to the last bit.
+
+        Not while a hull touches something: Bullet mixes up the contacts of hulls made of several shapes when it
+        restores them (bulletphysics/bullet3 issue 4387), so that is refused.
+        """
         servos, tyres = self._ready()
+        touching = self._bullet.getContactPoints(bodyA=self.robot, physicsClientId=self._client)
+        if touching:
+            part = self._names.get(touching[0][3], "hex")
+            raise PhysicsError(f"{part} touches something: a state can be saved only while no hull does")
         reads = {name: copy.copy(vars(self)[name]) for name in READS if name in vars(self)}
         return BodyState(
             world=self.world, snapshot=self.world.save(), servos=servos.state(), tyres=tyres.state(), reads=reads
@@ -258,8 +267,7 @@ class Body:
     def _read(self) -> None:
         b, client = self._bullet, self._client
         states = b.getJointStates(self.robot, self._driven, physicsClientId=client)
-        angles = np.array([s[0] for s in states])
-        rates = np.array([s[1] for s in states])
+        angles, rates = np.array([[s[0] for s in states], [s[1] for s in states]])
         n = LEGS * self.spec.dof
         self.joints: Joints = angles[:n].reshape(LEGS, -1)
         """link angles, after the wind-up, shape (6, dof) [rad]"""
@@ -270,13 +278,12 @@ class Body:
         wheels = b.getLinkStates(
             self.robot, self._wheels, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
         )
-        self.axles: Wheels = np.array([w[4] for w in wheels])
+        poses = np.array([w[4] + w[5] + w[6] + w[7] for w in wheels])  # one array: making each costs more than filling it
+        self.axles: Wheels = poses[:, :3].copy()
         """axle centres in world, shape (6, 3) [m]"""
-        x, y, z, w = np.array([s[5] for s in wheels]).T
-        self.axes: Wheels = np.column_stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)])
+        self.axes: Wheels = _y_axes(poses[:, 3:7])
         """unit axle directions in world, shape (6, 3)"""
-        self._axle_velocities = np.array([s[6] for s in wheels])
-        self._axle_spins = np.array([s[7] for s in wheels])
+        self._axle_velocities, self._axle_spins = poses[:, 7:10].copy(), poses[:, 10:].copy()
         if not np.isfinite(angles).all() or np.abs(self._axle_velocities).max() > RUNAWAY_SPEED:
             raise PhysicsError(f"the simulation ran away: a wheel moves at {np.abs(self._axle_velocities).max():.1f} m/s")
 
@@ -383,6 +390,19 @@ class Body:
         self._wheel_damping = 2.0 * 0.3 * np.sqrt(WHEEL_LOCK * wheels)
         self._wheel_gain = wheels / DRIVE_RESPONSE
         return np.array([inertia[i] for i in self._driven])
+
+
+@no_type_check
+@numba.njit(cache=True)
+def _y_axes(quaternions):  # type: ignore[no-untyped-def]
+    """The y axes, (n, 3), of frames whose orientations are xyzw quaternions, (n, 4)."""
+    axes = np.empty((len(quaternions), 3))
+    for i in range(len(quaternions)):
+        x, y, z, w = quaternions[i]
+        axes[i, 0] = 2 * (x * y - w * z)
+        axes[i, 1] = 1 - 2 * (x * x + z * z)
+        axes[i, 2] = 2 * (y * z + w * x)
+    return axes
 
 
 def settled(body: Body, *, speed: float = 2e-4) -> bool:

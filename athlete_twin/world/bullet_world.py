@@ -104,7 +104,9 @@ class BulletWorld:
             ground.origin_y + 0.5 * (ny - 1) * ground.cell,
             float(0.5 * (heights.min() + heights.max())),
         ]
-        body = self.bullet.createMultiBody(0, shape, basePosition=centre, physicsClientId=self.client)
+        # Without a look of its own Bullet makes a mesh of the whole field for its own renderer: 1 s and 200 MB for 800 x 800.
+        look = self.bullet.createVisualShape(self.bullet.GEOM_SPHERE, radius=0.01, physicsClientId=self.client)
+        body = self.bullet.createMultiBody(0, shape, look, basePosition=centre, physicsClientId=self.client)
         self.bullet.changeDynamics(body, -1, lateralFriction=0.6, physicsClientId=self.client)
         return int(body)
 
