@@ -126,13 +126,7 @@ class Athlete:
         names = tuple(self.kin.link_poses(np.zeros((LEGS, spec.dof))))
         self.trial = trial or draw_truth(spec, seed, link_names=names)
         self.world = BulletWorld(self.terrain.grid)
-        footing = Footing(
-            friction=self.terrain.friction,
-            rock_friction=self.terrain.rock_material.friction,
-            soil=self.terrain.soil,
-            is_rock=self.terrain.rock_index >= 0,
-        )
-        self.body = Body(self.world, spec, self.trial, footing=footing, payload_kg=payload_kg)
+        self.body = Body(self.world, spec, self.trial, footing=Footing.of(self.terrain), payload_kg=payload_kg)
         self.payload_kg = payload_kg
         truth = self.trial.truth
         self._senses = Proprioception(

@@ -25,6 +25,7 @@ from athlete_twin.geometry.arrays import CellFlags, PerLeg, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.model.spec import LEGS, WheelSpec
 from athlete_twin.physics.truth import TrialTruth
+from athlete_twin.world.terrain import Terrain
 
 ANGLES = np.deg2rad(np.linspace(-84.0, 84.0, 15))
 """tread samples from straight below the axle; beyond them it is the hull's business"""
@@ -77,6 +78,16 @@ class Footing:
     def hard(friction: float) -> Footing:
         """Ground of one friction that does not give."""
         return Footing(friction=friction, rock_friction=friction)
+
+    @staticmethod
+    def of(terrain: Terrain) -> Footing:
+        """The soil of a trial's ground between its rocks."""
+        return Footing(
+            friction=terrain.friction,
+            rock_friction=terrain.rock_material.friction,
+            soil=terrain.soil,
+            is_rock=terrain.rock_index >= 0,
+        )
 
 
 class Tyres:

@@ -29,6 +29,7 @@ from athlete_twin.model.spec import LEGS, load_spec
 from athlete_twin.model.stance import regular_stance, stance_wheels_in_hex
 from athlete_twin.physics.body import Body
 from athlete_twin.physics.truth import draw_truth
+from athlete_twin.physics.tyre import Footing
 from athlete_twin.world.bullet_world import BulletWorld
 from athlete_twin.world.scenario import load_scenario
 from athlete_twin.world.terrain import Terrain, build_terrain
@@ -58,7 +59,7 @@ class Walk:
         spec, terrain = load_spec(robot), rocks(robot)
         links = tuple(kinematics(robot).link_poses(np.zeros((LEGS, spec.dof))))
         self.world = BulletWorld(terrain.grid)
-        self.body = Body(self.world, spec, draw_truth(spec, SEED, link_names=links), friction=terrain.friction)
+        self.body = Body(self.world, spec, draw_truth(spec, SEED, link_names=links), footing=Footing.of(terrain))
         self.start = regular_stance(spec)
         self.start[:, 1] -= legs_up
         self.body.place(SE3.from_translation(np.array([0.0, 0.0, spec.chassis_height + drop])), self.start)
