@@ -35,9 +35,14 @@ DISTAL = ("knee_pitch", "knee_roll", "ankle_pitch", "ankle_roll")
 """links that get the truth's armature"""
 RUNAWAY_SPEED = 20.0
 """a chassis faster than this is no robot any more [m/s]"""
+STILL_SPEED = 2e-4
+"""what moves slower counts as still [m/s, rad/s]"""
+CALM_TIME = 0.5
+"""so long all must be still before the robot counts as settled: half a swing of the slowest sway, which at its turning
+points is still for a moment as well [s]"""
 READS = (
     "joints", "rates", "_wheel_angles", "_wheel_rates", "dock_angles", "_dock_rates",
-    "axles", "axes", "_axle_velocities", "_axle_spins", "tyre", "_locked_at",
+    "axles", "axes", "_axle_velocities", "_axle_spins", "tyre", "_locked_at", "calm_ticks",
 )  # fmt: skip
 """what `Body` keeps of the last tick; Bullet's snapshot does not hold them"""
 
@@ -98,6 +103,8 @@ class Body:
         self._footing, self._payload = footing, payload_kg
         self._wheel_drive = trial.truth.tyre_drive_torque
         self._locked_at = np.zeros(LEGS)
+        self.calm_ticks = 0
+        """so many ticks nothing has moved faster than `STILL_SPEED`"""
         self._servos: Servos | None = None
         self._tyres: Tyres | None = None
         self._filter_collisions()
@@ -284,6 +291,8 @@ class Body:
         self.axes: Wheels = _y_axes(poses[:, 3:7])
         """unit axle directions in world, shape (6, 3)"""
         self._axle_velocities, self._axle_spins = poses[:, 7:10].copy(), poses[:, 10:].copy()
+        fastest = max(np.abs(rates).max(), np.abs(poses[:, 7:]).max())
+        self.calm_ticks = self.calm_ticks + 1 if fastest < STILL_SPEED else 0
         if not np.isfinite(angles).all() or np.abs(self._axle_velocities).max() > RUNAWAY_SPEED:
             raise PhysicsError(f"the simulation ran away: a wheel moves at {np.abs(self._axle_velocities).max():.1f} m/s")
 
@@ -405,10 +414,9 @@ def _y_axes(quaternions):  # type: ignore[no-untyped-def]
     return axes
 
 
-def settled(body: Body, *, speed: float = 2e-4) -> bool:
-    """Whether nothing moves any more: chassis and wheels below `speed` [m/s], joints below as many rad/s."""
-    linear, angular = body.velocity()
-    return bool(max(np.abs(linear).max(), np.abs(angular).max(), np.abs(body.rates).max()) < speed)
+def settled(body: Body) -> bool:
+    """Whether nothing moves any more: wheels and joints, and with them the chassis, were still for `CALM_TIME`."""
+    return body.calm_ticks * body.world.tick >= CALM_TIME
 
 
 __all__ = ["Body", "HullContact", "TyreForces", "settled"]
