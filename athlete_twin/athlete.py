@@ -399,9 +399,10 @@ class Athlete:
 
     def _look_for_collisions(self) -> None:
         found = [(c.part, c.other, c.place_in_world, c.force, c.force > 0.0) for c in self.body.hull_contacts()]
-        depths, places = self.body.hull_depths()
+        rolling = self.executive.rolling
+        depths, places = self.body.hull_depths(standing=rolling)
         for leg, phase in enumerate(self.executive.phases):
-            if phase == "swing" and depths[leg] > STRIKE_DEPTH:
+            if (rolling or phase == "swing") and depths[leg] > STRIKE_DEPTH:
                 found.append((f"wheel{leg + 1}", "ground", places[leg], float(self.body.tyre.loads[leg]), True))
         for part, other, place, force, begins in found:
             pair = (part, other)

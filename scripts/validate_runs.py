@@ -35,11 +35,9 @@ SLOPE_FOOT_RADIUS = 2.1
 """the only one of 1.8, 1.95 and 2.1 m whose level stance still steps on 20 deg"""
 RAMP = 0.01
 """speed of a lift that is watched for the moment of breaking contact [m/s]"""
-AT_REST, NEARLY_AT_REST = 2e-4, 2e-3
-"""speeds, for single runs and for sets of tyres [m/s, rad/s]"""
 LONGEST, LONG = 9600, 2400
-"""ticks after which a robot that still rocks is read out as it is, for the same two. T12 with a corner leg up rocks for half a
-minute; its average is right after ten seconds, within 0.6 points of torque and 0.001 of the weight"""
+"""ticks after which a robot that still rocks is read out as it is, for single runs and for sets of tyres. T12 with a corner
+leg up rocks for half a minute; its average is right after ten seconds, within 0.6 points of torque and 0.001 of the weight"""
 WINDOW = 480
 """ticks over which a reading is averaged: two seconds, some periods of the slowest rocking"""
 
@@ -101,12 +99,12 @@ def stance_with(spec: RobotSpec, lifted: tuple[int, ...], lift: float = LIFT) ->
     return planted, joints
 
 
-def settle(body: Body, commands: Joints, *, speed: float = AT_REST, longest: int = LONGEST) -> None:
-    """Run until motors are where they shall be and nothing moves faster than `speed`, or for `longest` ticks."""
+def settle(body: Body, commands: Joints, *, longest: int = LONGEST) -> None:
+    """Run until motors are where they shall be and nothing moves any more, or for `longest` ticks."""
     limits = np.full(commands.shape, body.spec.speed_unloaded)
     for tick in range(1, longest + 1):
         body.step(commands, limits)
-        if tick >= 240 and tick % 60 == 0 and settled(body, speed=speed) and _arrived(body, commands):
+        if tick >= 240 and tick % 60 == 0 and settled(body) and _arrived(body, commands):
             return
 
 
@@ -224,7 +222,7 @@ def _stand_near(spec: RobotSpec, trial: TrialTruth, nominal: Rest) -> Rest:
     with BulletWorld(flat_ground()) as world:
         body = Body(world, spec, trial, footing=HARD)
         body.place(pose, nominal.commands)
-        settle(body, nominal.commands, speed=NEARLY_AT_REST, longest=LONG)
+        settle(body, nominal.commands, longest=LONG)
         return _read_out(body, nominal.lifted, nominal.commands)
 
 

@@ -165,9 +165,13 @@ class Tyres:
         for name, value in state.items():
             setattr(self, name, value.copy())
 
-    def hull_depths(self, axles: np.ndarray, axes: np.ndarray) -> tuple[PerLeg, Wheels]:
-        """How deep each unloaded wheel's hull is inside the ground, along its normal [m], and where, (6, 3) [m]."""
-        depths, places = _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._slopes, self._grid, HULL_ANGLES)
+    def hull_depths(self, axles: np.ndarray, axes: np.ndarray, *, standing: bool = False) -> tuple[PerLeg, Wheels]:
+        """How deep each unloaded wheel's hull is inside the ground, along its normal [m], and where, (6, 3) [m].
+
+        Of a wheel that is `standing`, the tread within 45 degrees of straight down is left out: what it stands on.
+        """
+        angles = HULL_ANGLES[np.abs(HULL_ANGLES) > np.deg2rad(46.0)] if standing else HULL_ANGLES
+        depths, places = _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._slopes, self._grid, angles)
         return depths, places
 
 
