@@ -102,14 +102,14 @@ def rows_of(measured: Measured) -> list[Row]:
 
 
 def elsewhere() -> list[Row]:
-    """Targets of section 10 that only the planner's gait can meet."""
+    """Targets of section 10 that the physics alone cannot meet."""
     return [
         Row(item=item, name=name, unit=unit, ours=None, target=target, note=f"not here: {where}")
         for item, name, unit, target, where in (
             ("6", "sway gait's gain in torque margin", "%", "> 20", "needs the planner's gait"),
             ("7", "gait periodic by cycle", "1", "<= 3", "needs the planner's gait"),
             ("8", "t12 body advance a cycle", "m", "1.2 - 1.4", "needs the planner's gait"),
-            ("13", "order of the 1989 footfall scores", "1", "as printed", "tests/planner/test_footfall.py"),
+            ("13", "order of the 1989 footfall scores", "1", "as printed", "concerns the scores, no physics"),
         )
     ]
 

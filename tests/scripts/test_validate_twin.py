@@ -37,7 +37,7 @@ def measured(script, rows_module):
     """SDM-B on equal tyres, without what takes long."""
     runs = script("validate_runs")
     stances = {lifted: runs.stand("sdm_b", lifted) for lifted in ((), (0,), (4,), (1, 4), (0, 3))}
-    drawn = [runs.stand_on_drawn_tyres("sdm_b", seed, (stances[()], stances[(0,)], stances[(0, 3)])) for seed in (1, 2)]
+    drawn = runs.stand_on_drawn_tyres("sdm_b", 1, (stances[()], stances[(0,)], stances[(0, 3)]))
     slides = {
         angle: runs.Slide(angle=np.deg2rad(angle), height=1.2, downhill=np.full(6, slide), torque=0.5)
         for angle, slide in ((14, 0.049), (18, 0.060), (20, 0.048))
@@ -46,7 +46,7 @@ def measured(script, rows_module):
         spec=runs.load_spec("sdm_b"),
         sizes=(2.2, 3.42),
         stances=stances,
-        sets=tuple({rest.lifted: rest for rest in rests} for rests in drawn),
+        sets=({rest.lifted: rest for rest in drawn},),
         reference={lifted: stances[lifted] for lifted in ((), (0,), (0, 3))},
         lifts={"empty": (0.115, 0.2), "loaded": (0.14, 0.05), "raised": (0.14, 0.2)},
         slides=slides,
@@ -63,12 +63,12 @@ def test_loads_of_equal_tyres_sum_to_the_weight_and_meet_the_published_shares(ro
     assert row.met == (abs(row.ours - row.published) <= 0.01)
 
 
-def test_spread_of_tyres_follows_the_figure_and_lies_around_it(rows_module, measured):
+def test_spread_of_tyres_follows_the_figure_and_passes_no_verdict(rows_module, measured):
     names = [row.name for row in rows_module.rows_of(measured)]
     first = names.index("sdm_b wheel load, none lifted, any wheel")
-    assert names[first + 1].endswith("2 sets of tyres")
+    assert names[first + 1].endswith("1 sets of tyres")
     row = by_name(rows_module.rows_of(measured))[names[first + 1]]
-    assert row.low <= row.ours <= row.high
+    assert row.low == row.ours == row.high
     assert row.ours > 1 / 6  # the heaviest of six unequal wheels carries more than its share
     assert row.met is None
 
