@@ -126,13 +126,7 @@ class Athlete:
         names = tuple(self.kin.link_poses(np.zeros((LEGS, spec.dof))))
         self.trial = trial or draw_truth(spec, seed, link_names=names)
         self.world = BulletWorld(self.terrain.grid)
-        footing = Footing(
-            friction=self.terrain.friction,
-            rock_friction=self.terrain.rock_material.friction,
-            soil=self.terrain.soil,
-            is_rock=self.terrain.rock_index >= 0,
-        )
-        self.body = Body(self.world, spec, self.trial, footing=footing, payload_kg=payload_kg)
+        self.body = Body(self.world, spec, self.trial, footing=Footing.of(self.terrain), payload_kg=payload_kg)
         self.payload_kg = payload_kg
         truth = self.trial.truth
         self._senses = Proprioception(
@@ -405,9 +399,10 @@ class Athlete:
 
     def _look_for_collisions(self) -> None:
         found = [(c.part, c.other, c.place_in_world, c.force, c.force > 0.0) for c in self.body.hull_contacts()]
-        depths, places = self.body.hull_depths()
+        rolling = self.executive.rolling
+        depths, places = self.body.hull_depths(standing=rolling)
         for leg, phase in enumerate(self.executive.phases):
-            if phase == "swing" and depths[leg] > STRIKE_DEPTH:
+            if (rolling or phase == "swing") and depths[leg] > STRIKE_DEPTH:
                 found.append((f"wheel{leg + 1}", "ground", places[leg], float(self.body.tyre.loads[leg]), True))
         for part, other, place, force, begins in found:
             pair = (part, other)

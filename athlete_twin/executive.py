@@ -100,6 +100,9 @@ class Executive:
         """Take what came up the link."""
         if isinstance(message, Stop):
             return self._stop(message)
+        if message.robot_id != self.kin.spec.name:
+            text = f"the sequence is for {message.robot_id!r}, this is {self.kin.spec.name}"
+            return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="failed", text=text)]
         if len(self._queue) >= QUEUE_LIMIT:
             text = f"queue is full with {QUEUE_LIMIT} sequences"
             return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="failed", text=text)]
@@ -110,12 +113,13 @@ class Executive:
         """Power is lost: the sequence and the queue with it. Brakes hold; what to tell once power is back."""
         run = self._running
         sequence_id, index = (run.sequence.sequence_id, run.index) if run else (-1, -1)
+        cancelled = [self._receipt(s.sequence_id, -1, "cancelled", "power was lost") for s in self._queue]
         self._running, self.state = None, "fault"
         self._queue.clear()
         self.wheel_rates[:] = 0.0
         text = "power was lost: the sequence in execution and the queue are gone"
         events = [Event(kind="fault", sequence_id=sequence_id, command_index=index, status="brown_out", text=text)]
-        return events + ([self._receipt(sequence_id, index, "failed", text)] if run else [])
+        return [*events, *([self._receipt(sequence_id, index, "failed", text)] if run else []), *cancelled]
 
     def tick(self, sensed: Sensed) -> list[Event]:
         """Advance by one control period: new `setpoint`, and what there is to tell."""

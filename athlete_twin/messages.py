@@ -13,6 +13,7 @@ Commands of the on-board executive. The public RAPID set has no limb commands, s
 - `LegMove`: one wheel along a straight line in hex, with a guard: `break_contact` (lift-off), `contact` (guarded
   descent: stop when the wheel carries the given load), `none`.
 - `BodyMove`: the chassis along a straight line while all wheels stay where they are.
+- `Drive`: on the wheels along a straight line.
 - `ImageRequest`: stereo pairs of the named cameras.
 - `Wait`: nothing for a while.
 """
@@ -177,7 +178,7 @@ class Message:
 
 @dataclass(frozen=True, kw_only=True)
 class CommandSequence(Message):
-    """Commands to run one after the other. One at a time is in the queue; a later sequence waits for it."""
+    """Commands to run one after the other. One sequence runs at a time; later ones wait for it in a queue of eight."""
 
     topic: ClassVar[str] = "/uplink/command_sequence"
     sequence_id: int
@@ -192,6 +193,10 @@ class CommandSequence(Message):
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "commands", tuple(self.commands))
+        for name, most in (("max_torque_fraction", 10.0), ("max_tilt", np.pi)):
+            value = getattr(self, name)
+            if not (np.isfinite(value) and 0.0 < value <= most):
+                raise CommandError(f"{name} is {value}, must be above 0 and at most {most:g}")
         if self.max_swing_force is not None and not (np.isfinite(self.max_swing_force) and self.max_swing_force > 0.0):
             raise CommandError(f"max_swing_force {self.max_swing_force} N must be positive and finite, or None")
 

@@ -35,7 +35,7 @@ from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplin
 from planner.eyes import Eyes, StageTimer, untimed
 from planner.footfall import FootfallMap, score_footfalls
 from planner.gait.skeleton import regular_places, reverse_wave, stride
-from planner.gait.step_plan import StepPlan
+from planner.gait.step_plan import BodyShift, StepPlan
 from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.recovery import LOWERINGS, Recovery
@@ -52,6 +52,8 @@ STANDING_LOAD = 150.0
 UNKNOWN_RISE = 0.10
 """ground nobody saw is taken for so much higher than the highest beside it, for collisions: with the swing's own
 clearance rocks of 0.17 m (SDM-B) hide there without harm [m]"""
+LOST_AFTER = 60.0
+"""a sequence that nobody has acknowledged for so long is lost: three round trips over the slowest link [s]"""
 FLAT_RADIUS = 8.0
 """of the flat map of a variant without pictures [m]"""
 MAX_TORQUE_FRACTION = 1.0
@@ -65,6 +67,8 @@ class _Sent:
     plan: StepPlan | None
     pairs_awaited: int
     pairs: list[StereoPair] = field(default_factory=list)
+    heard: bool = False
+    """whether any receipt for it has come down"""
     done: bool = False
     fault: Fault | None = None
 
@@ -138,11 +142,9 @@ class GroundAgent:
         elif isinstance(message, Fault):
             if self._sent is not None and message.sequence_id == self._sent.sequence.sequence_id:
                 self._sent.fault = message
-            elif self._sent is not None and message.code == "brown_out" and message.t >= self._sent.sequence.t:
-                # What went up into the dark never arrived: there will be no receipt.
-                self._sent.fault, self._sent.done = message, True
         elif isinstance(message, Receipt) and self._sent is not None:
             ours = message.sequence_id == self._sent.sequence.sequence_id
+            self._sent.heard |= ours
             if ours and message.command_index >= 0 and message.status == "completed":
                 self._completed(message.command_index)
             ended = message.status in ("failed", "cancelled") or (message.command_index < 0 and message.status == "completed")
@@ -155,6 +157,9 @@ class GroundAgent:
             return NoStep(reason=self._stopped)
         if self._belief is None or self._telemetry is None:
             return Waiting(reason="first telemetry")
+        if self._sent is not None and not self._sent.heard and t - self._sent.sequence.t > LOST_AFTER:
+            # It never arrived: on the way up it was lost, or the executive was without power. Proposed again, as new.
+            self._sent = None
         if self._sent is not None:
             sent = self._sent
             settled = self._telemetry.executive_state != "executing" and self._telemetry.t >= sent.sequence.t
@@ -183,8 +188,11 @@ class GroundAgent:
             else:
                 self._recovery.refuse(plan)
         elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
+            if plan is None:  # a look around or a way back has no footfall: the proposal comes again
+                self._proposal = proposal
+                return None
             self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
-            self._forced_leg = plan.leg if plan is not None else None
+            self._forced_leg = plan.leg
         elif decision.kind == "choose_leg":
             self._forced_leg = decision.leg
         elif decision.kind == "choose_cameras":
@@ -306,6 +314,15 @@ class GroundAgent:
                 return self._as_proposal(found, belief, ground, t)
             refused.update(found.refused)
             reasons.append(found.reason)
+        if forced_xy is not None:
+            # The operator's place does not work: say so beside the gait's own step.
+            self._forced_leg = None
+            again = self._propose(t)
+            if isinstance(again, Proposal):
+                why = "; ".join(dict.fromkeys(reasons))
+                text = f"{again.text} (not at ({forced_xy[0]:.2f}, {forced_xy[1]:.2f}) m: {why})"
+                again = self._proposal = replace(again, text=text)
+            return again
         if len(in_air) and self._attempt is not None and self._recovery.lowerings <= LOWERINGS:
             self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
@@ -375,8 +392,13 @@ class GroundAgent:
         down = belief.gravity_in_hex() / GRAVITY
         target = axle + self.config.step.touchdown.search_depth * down
         commands = lower_commands(plan.leg, target, plan.contact_load)
-        lowered = replace(plan, lift_in_hex=None, descent_in_hex=target)
-        return self._as_proposal(lowered, belief, ground, t, commands=commands)
+        contact = belief.world_from_hex.apply(target) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0])
+        lowered = replace(
+            plan, lift_in_hex=None, descent_in_hex=target, shift=BodyShift.none(), footfall_in_world=contact,
+            preview_joints=belief.joints[None].copy(), preview_world_from_hex=(belief.world_from_hex,),
+        )  # fmt: skip
+        text = f"leg {plan.leg + 1} goes further down where it is, at most {100 * self.config.step.touchdown.search_depth:.0f} cm"
+        return self._as_proposal(lowered, belief, ground, t, commands=commands, text=text)
 
     def _ground(self, belief: Belief) -> Ground:
         """The terrain for one plan: heights with unknown cells, heights without, and the footfalls on it."""
@@ -409,7 +431,14 @@ class GroundAgent:
         return HeightGrid(origin_x=float(x[0]), origin_y=float(y[0]), cell=cell, heights=heights), np.zeros((n, n))
 
     def _as_proposal(
-        self, plan: StepPlan, belief: Belief, ground: Ground, t: float, *, commands: list[Command] | None = None
+        self,
+        plan: StepPlan,
+        belief: Belief,
+        ground: Ground,
+        t: float,
+        *,
+        commands: list[Command] | None = None,
+        text: str = "",
     ) -> Proposal:
         cameras = self._cameras(plan, belief)
         sequence = self._as_sequence(step_commands(plan) if commands is None else commands, t, cameras=cameras)
@@ -433,7 +462,7 @@ class GroundAgent:
             world_from_hex=belief.world_from_hex,
             predicted_margin=min(plan.swing_margin, plan.landed_margin),
             predicted_sag=plan.sag,
-            text=f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, then the chassis shifts by {shift:.0f} cm{cut}",
+            text=text or f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, then the chassis shifts by {shift:.0f} cm{cut}",
         )
         return self._proposal
 

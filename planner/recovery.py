@@ -63,6 +63,8 @@ class Recovery:
             self.extra_lift = min(self.extra_lift + RETRY_LIFT, MAX_EXTRA_LIFT)
         elif fault.code == "no_contact":
             self.lowerings += 1
+            if self.lowerings > LOWERINGS:
+                self.refuse(plan)
         else:
             self.refuse(plan)
         if fault.code == "swing_contact":

@@ -7,7 +7,7 @@ import pytest
 
 from athlete_twin.athlete import Athlete
 from athlete_twin.geometry.grid import HeightGrid
-from athlete_twin.messages import BodyMove, CommandSequence, JointMove, LegMove
+from athlete_twin.messages import BodyMove, CommandSequence, Drive, JointMove, LegMove
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.physics.truth import nominal_truth
@@ -111,3 +111,11 @@ def test_one_contact_episode_counts_once(robot):
     athlete = robot(with_block((0.88, 1.18), (0.42, 0.78), 1.35))
     run(athlete, BodyMove(translation_in_hex=np.array([0.0, 0.0, -0.30])))
     assert len([c for c in athlete.collisions if c.part == "hex"]) == 1
+
+
+def test_a_wheel_driven_into_a_rock_is_seen_and_driving_over_a_pebble_is_none(robot):
+    axle = load_spec("sdm_b").foot_radius
+    for height, strikes in ((0.30, {"wheel1"}), (0.03, set())):
+        athlete = robot(with_block((axle + 0.5, axle + 0.9), (-0.3, 0.3), height))
+        run(athlete, Drive(translation_in_hex=np.array([0.6, 0.0]), speed=0.2))
+        assert {p for p in parts(athlete) if p.startswith("wheel")} == strikes, height

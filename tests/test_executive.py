@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from athlete_twin.driving import rolling_velocities
+from athlete_twin.errors import CommandError
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
 from athlete_twin.messages import BodyMove, CommandSequence, Drive, ImageRequest, JointMove, LegMove, Stop, Wait
 from athlete_twin.model.kinematics import kinematics
@@ -18,8 +19,8 @@ def executive(robot: str = "sdm_b") -> Executive:
     return Executive(kin=kinematics(robot), setpoint=regular_stance(load_spec(robot)))
 
 
-def sequence(*commands, number: int = 1, **limits) -> CommandSequence:
-    return CommandSequence(seq=number, robot_id="sdm_b", t=0.0, sequence_id=number, commands=commands, **limits)
+def sequence(*commands, number: int = 1, robot: str = "sdm_b", **limits) -> CommandSequence:
+    return CommandSequence(seq=number, robot_id=robot, t=0.0, sequence_id=number, commands=commands, **limits)
 
 
 def run(robot: Executive, *, load: float = 0.0, torque: float = 0.0, tilt: float = 0.0, most: int = 4000) -> list[Event]:
@@ -45,7 +46,7 @@ def faults(events: list[Event]) -> list[str]:
 def test_a_lift_goes_straight_up_within_the_joint_speeds(robot):
     e = executive(robot)
     start = e.kin.leg_wheel(2, e.setpoint[2]).translation
-    e.accept(sequence(LegMove(leg=2, wheel_in_hex=start + [0.0, 0.0, 0.2], guard="break_contact")))
+    e.accept(sequence(LegMove(leg=2, wheel_in_hex=start + [0.0, 0.0, 0.2], guard="break_contact"), robot=robot))
     before, places = e.setpoint, []
     while e.busy:
         e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(e.setpoint), attitude_rpy=np.zeros(3)))
@@ -99,10 +100,10 @@ def test_a_lift_that_still_carries_is_a_fault():
 def test_what_is_out_of_reach_is_refused_before_anything_moves(robot):
     e = executive(robot)
     before = e.setpoint.copy()
-    e.accept(sequence(LegMove(leg=1, wheel_in_hex=np.array([9.0, 0.0, -1.0]))))
+    e.accept(sequence(LegMove(leg=1, wheel_in_hex=np.array([9.0, 0.0, -1.0])), robot=robot))
     assert faults(run(e)) == ["unreachable"]
     assert np.array_equal(e.setpoint, before)
-    e.accept(sequence(BodyMove(translation_in_hex=np.array([4.0, 0.0, 0.0])), number=2))
+    e.accept(sequence(BodyMove(translation_in_hex=np.array([4.0, 0.0, 0.0])), number=2, robot=robot))
     assert faults(run(e)) == ["unreachable"]
     assert np.array_equal(e.setpoint, before)
 
@@ -142,7 +143,7 @@ def test_a_wheel_that_strikes_something_in_the_air_stops_the_sequence(robot, sha
     e = executive(robot)
     spec, weight = e.kin.spec, e.kin.spec.mass * 9.81
     start = e.setpoint[0]
-    e.accept(sequence(JointMove(leg=0, waypoints=(start + np.eye(spec.dof)[0] * 0.5)[None])))
+    e.accept(sequence(JointMove(leg=0, waypoints=(start + np.eye(spec.dof)[0] * 0.5)[None]), robot=robot))
     events, gravity, felt = [], np.array([0.0, 0.0, -9.81]), np.zeros((6, 3))
     for _ in range(2000):
         felt[0, 0] = -share * weight if abs(e.setpoint[0, 0] - start[0]) > 0.25 else 0.0  # half-way, from the front
@@ -198,7 +199,7 @@ def test_a_body_move_keeps_every_wheel_in_place(robot):
     e = executive(robot)
     wheels = e.kin.wheels_in_hex(e.setpoint)
     shift, turn = np.array([0.10, -0.05, -0.04]), np.array([0.02, -0.03, 0.05])
-    e.accept(sequence(BodyMove(translation_in_hex=shift, rotvec_in_hex=turn)))
+    e.accept(sequence(BodyMove(translation_in_hex=shift, rotvec_in_hex=turn), robot=robot))
     assert faults(run(e)) == []
     from athlete_twin.geometry.se3 import SE3
 
@@ -235,7 +236,7 @@ def test_a_drive_steers_all_wheels_across_the_way_rolls_its_length_and_steers_ba
     e = executive(robot)
     before = e.setpoint.copy()
     way = np.array([np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg))])
-    e.accept(sequence(Drive(translation_in_hex=1.5 * way, speed=e.kin.spec.drive_speed)))
+    e.accept(sequence(Drive(translation_in_hex=1.5 * way, speed=e.kin.spec.drive_speed), robot=robot))
     covered, fastest = np.zeros((6, 3)), 0.0
     while e.busy:
         events = e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(before), attitude_rpy=np.zeros(3)))
@@ -263,3 +264,16 @@ def test_a_drive_faster_than_the_robot_is_a_bad_command_and_a_stop_locks_the_whe
         e.tick(Sensed(joints=e.setpoint, torques=np.zeros_like(e.setpoint), attitude_rpy=np.zeros(3)))
     e.accept(Stop(seq=0, robot_id="sdm_b", t=0.0))
     assert not e.rolling
+
+
+def test_a_sequence_for_another_robot_is_refused():
+    e = executive("t12")
+    (receipt,) = e.accept(sequence(Wait(duration=1.0)))
+    assert receipt.status == "failed" and "is for 'sdm_b', this is t12" in receipt.text
+    assert not e.busy
+
+
+@pytest.mark.parametrize("limits", [{"max_torque_fraction": np.nan}, {"max_tilt": np.inf}, {"max_swing_force": 0.0}])
+def test_guards_cannot_be_switched_off_by_what_is_no_number(limits):
+    with pytest.raises(CommandError, match=next(iter(limits))):
+        sequence(Wait(duration=1.0), **limits)

@@ -202,6 +202,11 @@ class Body:
         """Motor angles, before the wind-up, shape (6, dof) [rad]."""
         return self._ready()[0].motors.copy()
 
+    @property
+    def slipped(self) -> Joints:
+        """By ratcheting, motor less gear, shape (6, dof) [rad]."""
+        return self._ready()[0].slipped.copy()
+
     def torques(self) -> Joints:
         """Torques carried by the joints, shape (6, dof) [N m]."""
         return self._ready()[0].torques(self.joints)
@@ -219,9 +224,9 @@ class Body:
         """Series stiffness of the joints, shape (6, dof) [N m/rad]."""
         return self._ready()[0].stiffness.copy()
 
-    def hull_depths(self) -> tuple[PerLeg, Wheels]:
-        """How deep each wheel's unloaded hull is in the ground [m], and where."""
-        return self._ready()[1].hull_depths(self.axles, self.axes)
+    def hull_depths(self, *, standing: bool = False) -> tuple[PerLeg, Wheels]:
+        """How deep each wheel's unloaded hull is in the ground [m], and where; what it stands on left out if `standing`."""
+        return self._ready()[1].hull_depths(self.axles, self.axes, standing=standing)
 
     def world_from_hex(self) -> SE3:
         """True pose of the chassis."""
@@ -340,7 +345,7 @@ class Body:
         return robot
 
     def _add_payload(self, robot: int, payload_kg: float) -> None:
-        """A payload on the deck plane's centre: the base link gets heavier and its centre of mass moves up.
+        """A payload on the deck: the base link gets heavier.
 
         Bullet cannot shift a link's centre of mass after loading, so the load is put at the base's own centre: exact
         for the wheel loads on level ground, and off by payload x height in the tip-over moment.

@@ -25,6 +25,7 @@ from athlete_twin.geometry.arrays import CellFlags, PerLeg, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.model.spec import LEGS, WheelSpec
 from athlete_twin.physics.truth import TrialTruth
+from athlete_twin.world.terrain import Terrain
 
 ANGLES = np.deg2rad(np.linspace(-84.0, 84.0, 15))
 """tread samples from straight below the axle; beyond them it is the hull's business"""
@@ -77,6 +78,16 @@ class Footing:
     def hard(friction: float) -> Footing:
         """Ground of one friction that does not give."""
         return Footing(friction=friction, rock_friction=friction)
+
+    @staticmethod
+    def of(terrain: Terrain) -> Footing:
+        """The soil of a trial's ground between its rocks."""
+        return Footing(
+            friction=terrain.friction,
+            rock_friction=terrain.rock_material.friction,
+            soil=terrain.soil,
+            is_rock=terrain.rock_index >= 0,
+        )
 
 
 class Tyres:
@@ -154,9 +165,13 @@ class Tyres:
         for name, value in state.items():
             setattr(self, name, value.copy())
 
-    def hull_depths(self, axles: np.ndarray, axes: np.ndarray) -> tuple[PerLeg, Wheels]:
-        """How deep each unloaded wheel's hull is inside the ground, along its normal [m], and where, (6, 3) [m]."""
-        depths, places = _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._slopes, self._grid, HULL_ANGLES)
+    def hull_depths(self, axles: np.ndarray, axes: np.ndarray, *, standing: bool = False) -> tuple[PerLeg, Wheels]:
+        """How deep each unloaded wheel's hull is inside the ground, along its normal [m], and where, (6, 3) [m].
+
+        Of a wheel that is `standing`, the tread within 45 degrees of straight down is left out: what it stands on.
+        """
+        angles = HULL_ANGLES[np.abs(HULL_ANGLES) > np.deg2rad(46.0)] if standing else HULL_ANGLES
+        depths, places = _hull_kernel(axles, axes, self._radius, self._width, self._heights, self._slopes, self._grid, angles)
         return depths, places
 
 

@@ -25,6 +25,14 @@ class BodyShift:
     cut_by: str
     """what forbade the whole of it, height and attitude included; empty when nothing did"""
 
+    @staticmethod
+    def none() -> BodyShift:
+        """The chassis stays."""
+        still = np.zeros(3)
+        return BodyShift(
+            translation_in_hex=still, rotvec_in_hex=still, wheel_offsets_in_hex=np.zeros((6, 3)), fraction=0.0, cut_by=""
+        )
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StepPlan:

@@ -38,7 +38,7 @@ class FusionConfig:
     size_y: float = 16.0
     """[m]"""
     cell: float = 0.05
-    """a fifth of SDM-B's wheel diameter, and about the stereo's footprint at 5 m [m]"""
+    """a fifth of SDM-B's wheel radius, and about the stereo's footprint at 5 m [m]"""
     max_depth: float = 9.0
     """points farther away are not used [m]"""
     max_sigma: float = 0.08

@@ -124,8 +124,11 @@ def test_motors_that_push_against_the_ground_stall_at_their_limits(make_body, ro
     rate = body.spec.speed_loaded
     for _ in range(480):
         body.step(commands, np.full(commands.shape, rate))
-        # The load may swing beyond what the motors bring, never beyond what gear or brake hold.
+        # The load may swing beyond what the motors bring; no gear ratchets and no brake slips.
         assert (np.abs(body.torques()) <= 1.2 * body.spec.torque_limits).all()
+    driven = np.abs(body.motors - commands) > 0.1
+    assert driven[:, body.spec.joint_names.index("knee_pitch")].all()  # they stalled long before their command
+    assert not body.slipped.any()
 
 
 @pytest.mark.parametrize("robot, kmh", [("sdm_b", 3.0), ("t12", 2.0)])

@@ -59,13 +59,7 @@ class Walk:
         spec, terrain = load_spec(robot), rocks(robot)
         links = tuple(kinematics(robot).link_poses(np.zeros((LEGS, spec.dof))))
         self.world = BulletWorld(terrain.grid)
-        footing = Footing(
-            friction=terrain.friction,
-            rock_friction=terrain.rock_material.friction,
-            soil=terrain.soil,
-            is_rock=terrain.rock_index >= 0,
-        )
-        self.body = Body(self.world, spec, draw_truth(spec, SEED, link_names=links), footing=footing)
+        self.body = Body(self.world, spec, draw_truth(spec, SEED, link_names=links), footing=Footing.of(terrain))
         self.start = regular_stance(spec)
         self.start[:, 1] -= legs_up
         self.body.place(SE3.from_translation(np.array([0.0, 0.0, spec.chassis_height + drop])), self.start)

@@ -58,6 +58,7 @@ def test_a_wheel_without_ground_goes_down_twice_and_then_elsewhere(plan):
     for _ in range(3):
         recovery.fault(fault("no_contact"), plan, PATH[0])
         lowers.append(recovery.lowers)
+        assert len(recovery.refused_xy) == (0 if lowers[-1] else 1)
     assert lowers == [True, True, False]
 
 
