@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Joints, PerLeg, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, JointMove, LegMove
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -190,8 +190,3 @@ def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, d
         )
     for point in points[1:]:
         _solve(kin, leg, point, direction)
-
-
-def loads_from_torques(kin: Kinematics, sensed: Sensed) -> PerLeg:
-    """Vertical load on every wheel, inferred from the torques [N]."""
-    return np.array([vertical_load(kin, leg, sensed) for leg in range(LEGS)])

@@ -42,10 +42,6 @@ class Kinematics:
         self._wheel_frames = [model.getFrameId(f"wheel{leg + 1}", pin.FrameType.BODY) for leg in range(LEGS)]
         self._link_frames = {f.name: i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY}
 
-    def q_index(self, leg: int) -> np.ndarray:
-        """Places of one leg's joints in Pinocchio's configuration vector, shape (dof,)."""
-        return np.array(self._q_of[leg])
-
     def pin_q(self, joints: Joints) -> np.ndarray:
         """Pinocchio's configuration vector of joint angles (6, dof) [rad]."""
         joints = np.asarray(joints, dtype=float)

@@ -219,11 +219,6 @@ class Body:
         """From now on one tyre has only this part of its stiffness."""
         self._ready()[1].lose_pressure(leg, scale)
 
-    @property
-    def stiffness(self) -> Joints:
-        """Series stiffness of the joints, shape (6, dof) [N m/rad]."""
-        return self._ready()[0].stiffness.copy()
-
     def hull_depths(self, *, standing: bool = False) -> tuple[PerLeg, Wheels]:
         """How deep each wheel's unloaded hull is in the ground [m], and where; what it stands on left out if `standing`."""
         return self._ready()[1].hull_depths(self.axles, self.axes, standing=standing)

@@ -10,8 +10,6 @@ from functools import cache
 from types import TracebackType
 from typing import Any
 
-import numpy as np
-
 from athlete_twin.errors import PhysicsError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.model.kinematics import GRAVITY
@@ -110,7 +108,3 @@ class BulletWorld:
         self.bullet.changeDynamics(body, -1, lateralFriction=0.6, physicsClientId=self.client)
         return int(body)
 
-    def height_by_ray(self, x: float, y: float) -> float:
-        """Height of Bullet's ground at a place [m], by a ray from above: for checks against the grid."""
-        hit = self.bullet.rayTest([x, y, 50.0], [x, y, -50.0], physicsClientId=self.client)[0]
-        return float(np.asarray(hit[3])[2])

@@ -29,11 +29,6 @@ class SoilMaterial:
     colour: tuple[float, float, float]
     """red, green, blue, linear, 0 to 1; only the ratio matters beside `albedo`"""
 
-    @property
-    def hardness(self) -> float:
-        """Pressure that sinks by 1 cm [Pa]."""
-        return float(self.sinkage_modulus * 0.01**self.sinkage_exponent)
-
     def sinkage(self, pressure: np.ndarray | float) -> np.ndarray:
         """Depth at which the ground carries a pressure [Pa], shape of `pressure` [m]."""
         loaded = np.maximum(np.asarray(pressure, dtype=float), 0.0) / self.sinkage_modulus
