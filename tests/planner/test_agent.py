@@ -1,0 +1,62 @@
+"""The ground agent between its proposals: what it does when an operator or the link does the unexpected."""
+
+import numpy as np
+import pytest
+
+from athlete_twin.assets import named_toml, read_toml
+from athlete_twin.messages import CommandSequence, Receipt
+from athlete_twin.mock import MockAthlete
+from athlete_twin.model.spec import load_spec
+from planner.agent import LOST_AFTER, GroundAgent
+from planner.config import planner_config
+from planner.decisions import Decision, Proposal, Waiting
+
+APPROVE = Decision(kind="approve")
+
+
+@pytest.fixture(params=["sdm_b", "t12"])
+def agent(request) -> GroundAgent:
+    """A ground that has heard one telemetry of a standing robot."""
+    spec = load_spec(request.param)
+    config = planner_config(read_toml(named_toml("variants", "blind")), spec, name="blind")
+    ground = GroundAgent(spec, config, goal_in_world=np.array([3.0, 0.0]), seed=0)
+    for message in MockAthlete(spec).advance(1.0):
+        ground.observe(message, 1.0)
+    return ground
+
+
+def proposal(agent: GroundAgent, t: float) -> Proposal:
+    action = agent.next(t)
+    assert isinstance(action, Proposal), action
+    return action
+
+
+def receipt(sequence: CommandSequence, status: str) -> Receipt:
+    return Receipt(
+        seq=0, robot_id=sequence.robot_id, t=2.0, sequence_id=sequence.sequence_id, command_index=-1, status=status
+    )
+
+
+def test_an_edit_that_does_not_work_comes_back_as_the_gaits_own_step_with_the_reason(agent):
+    own = proposal(agent, 1.0)
+    far = Decision(kind="edit_footfall", footfall_in_world=np.array([7.0, 7.0, 0.0]))
+    assert agent.decide(far, 1.0) is None
+    again = proposal(agent, 2.0)
+    assert again.leg == own.leg
+    np.testing.assert_allclose(again.footfall_in_world, own.footfall_in_world)
+    assert "not at (7.00, 7.00) m: " in again.text
+    sequence = agent.decide(APPROVE, 3.0)
+    assert sequence is not None and sequence.commands
+
+
+def test_a_sequence_that_nobody_acknowledges_is_proposed_again_and_an_acknowledged_one_is_waited_for(agent):
+    first = proposal(agent, 1.0)
+    sent = agent.decide(APPROVE, 1.0)
+    assert isinstance(agent.next(1.0 + LOST_AFTER - 0.1), Waiting)
+    again = proposal(agent, 1.0 + LOST_AFTER + 0.1)
+    assert again.index > first.index
+    np.testing.assert_allclose(again.footfall_in_world, first.footfall_in_world)
+    resent = agent.decide(APPROVE, 70.0)
+    assert resent.sequence_id > sent.sequence_id
+    agent.observe(receipt(resent, "queued"), 80.0)
+    assert isinstance(agent.next(1000.0), Waiting)
