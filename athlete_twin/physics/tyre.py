@@ -227,6 +227,7 @@ def _tyre_kernel(  # type: ignore[no-untyped-def]
     patches = axles.copy()
     deflections = np.zeros(n_wheels)
     loads = np.zeros(n_wheels)
+    cosines, sines = np.cos(angles), np.sin(angles)
     for w in range(n_wheels):
         below, along = _frame(axes[w])
         deepest, total, on_rock = 0.0, 0.0, 0.0
@@ -234,7 +235,7 @@ def _tyre_kernel(  # type: ignore[no-untyped-def]
         normal = np.zeros(3)
         for s in range(stations.shape[0]):
             for k in range(angles.shape[0]):
-                ca, sa = np.cos(angles[k]), np.sin(angles[k])
+                ca, sa = cosines[k], sines[k]
                 px = axles[w, 0] + stations[s] * width * axes[w, 0] + radius * (ca * below[0] + sa * along[0])
                 py = axles[w, 1] + stations[s] * width * axes[w, 1] + radius * (ca * below[1] + sa * along[1])
                 pz = axles[w, 2] + stations[s] * width * axes[w, 2] + radius * (ca * below[2] + sa * along[2])
@@ -245,8 +246,12 @@ def _tyre_kernel(  # type: ignore[no-untyped-def]
                     total += depth
                     if rock.size > 1 and _is_rock(px, py, rock, grid):
                         on_rock += depth
-                    patch += depth * np.array([px, py, pz])
-                    normal += depth * np.array([nx, ny, nz])
+                    patch[0] += depth * px  # not as arrays: each would be made on the heap
+                    patch[1] += depth * py
+                    patch[2] += depth * pz
+                    normal[0] += depth * nx
+                    normal[1] += depth * ny
+                    normal[2] += depth * nz
         if total <= 0.0:
             bristles[w] = 0.0
             ruts[w] = 0.0
