@@ -86,7 +86,12 @@ def test_help_is_quick():
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_an_interrupted_trial_leaves_readable_files(tmp_path, number):
     arguments = ["--scenario", "calibration_yard", "--variant", "blind", "--out", str(tmp_path)]
-    process = subprocess.Popen([sys.executable, str(SCRIPT), *arguments], stderr=subprocess.DEVNULL)
+    # A shell that runs tests in the background has them ignore Ctrl-C, and what they start inherits it.
+    process = subprocess.Popen(
+        [sys.executable, str(SCRIPT), *arguments],
+        stderr=subprocess.DEVNULL,
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
+    )
     recording = tmp_path / "trial.mcap"
     deadline = time.monotonic() + 240.0  # the first run on a machine compiles its kernels
     # The true ground alone is larger than that: wait until the walk has begun.
