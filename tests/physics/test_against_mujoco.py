@@ -189,7 +189,7 @@ def test_three_wheels_carry_what_mujocos_masses_say(rival, flat_world, lifted):
     limits = np.full(joints.shape, 0.2)
     for tick in range(9600):
         body.step(joints, limits)
-        if tick > 1200 and tick % 60 == 0 and settled(body, speed=5e-4):
+        if tick > 1200 and tick % 60 == 0 and settled(body):
             break
     standing = np.setdiff1d(np.arange(6), lifted)
     assert not body.tyre.loads[list(lifted)].any()
