@@ -35,7 +35,8 @@ TORQUE_FILTER = 0.1
 RECOVERY = 0.03
 """a joint that is beyond its limit when a sequence begins may go so much further: the way out must not be barred"""
 SWING_FORCE = 0.03
-"""of the robot's weight: a wheel in the air that feels more has struck something. Free swings show up to 0.01 (inertia)"""
+"""of the robot's weight: a wheel in the air that feels more has struck something. Inertia
+and encoders together show below 0.02 in free swings of both robots"""
 SETTLING_TIME = 1.0
 """at the end of each sequence, before it counts as completed [s]"""
 IMAGING_TIME = 0.5

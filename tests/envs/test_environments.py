@@ -21,7 +21,11 @@ def checked(name, **kwargs):
     env = gym.make(name, disable_env_checker=True, **kwargs)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        check_env(env.unwrapped, skip_render_check=True)
+        check_env(env.unwrapped, skip_render_check=True)  # raises where the contract is broken
+    observation, _ = env.reset(seed=1)
+    assert env.observation_space.contains(observation)
+    stepped = env.step(env.action_space.sample())[0]
+    assert env.observation_space.contains(stepped)
     env.close()
 
 
