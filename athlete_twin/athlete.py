@@ -262,7 +262,7 @@ class Athlete:
             self.body.step(commands, limit)
             if k > 480 and k % 60 == 0 and settled(self.body):
                 break
-        self._rest = True
+        self._rest = settled(self.body)
 
     def _sense(self) -> Measurement:
         body = self.body

@@ -15,7 +15,7 @@ from athlete_twin.geometry.arrays import Joints, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, JointMove, LegMove
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
-from athlete_twin.model.reach import leg_ik
+from athlete_twin.model.reach import all_legs_ik, leg_ik
 from athlete_twin.model.spec import LEGS
 
 WHEEL_SPEED = 0.15
@@ -168,14 +168,22 @@ def _body_pose(
     hex_from_start = start_from_hex.inverse()
     targets = hex_from_start.apply(wheels) + fraction * command.wheel_offsets_in_hex
     links = hex_from_start.rotate(directions)
-    return np.array([_solve(kin, leg, targets[leg], links[leg]) for leg in range(LEGS)])
+    joints, ok = all_legs_ik(kin.spec, targets, last_link_in_hex=links)
+    if not ok.all():
+        leg = int(np.argmin(ok))
+        raise _unreachable(leg, targets[leg])
+    return joints
 
 
 def _solve(kin: Kinematics, leg: int, wheel_in_hex: Vec3, last_link_in_hex: Vec3) -> np.ndarray:
     q, ok = leg_ik(kin.spec, leg, wheel_in_hex[None], last_link_in_hex=last_link_in_hex)
     if not ok[0]:
-        raise MoveFailedError("unreachable", f"leg {leg + 1} cannot put its wheel at {np.round(wheel_in_hex, 3)} in hex", leg)
+        raise _unreachable(leg, wheel_in_hex)
     return np.asarray(q[0])
+
+
+def _unreachable(leg: int, wheel_in_hex: Vec3) -> MoveFailedError:
+    return MoveFailedError("unreachable", f"leg {leg + 1} cannot put its wheel at {np.round(wheel_in_hex, 3)} in hex", leg)
 
 
 def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, direction: Vec3) -> None:

@@ -92,8 +92,9 @@ class SE3:
         return np.asarray(Rotation.from_matrix(self.rotation).as_quat())
 
     def rpy(self) -> Vec3:
-        """Roll, pitch, yaw about the fixed axes [rad]."""
-        return np.asarray(Rotation.from_matrix(self.rotation).as_euler("xyz"))
+        """Roll, pitch, yaw about the fixed axes [rad]. Written out: an inertial unit reads it at every control tick."""
+        r = self.rotation
+        return np.array([np.arctan2(r[2, 1], r[2, 2]), np.arctan2(-r[2, 0], np.hypot(r[0, 0], r[1, 0])), np.arctan2(r[1, 0], r[0, 0])])
 
     def rotvec(self) -> Vec3:
         """Rotation vector [rad]."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from athlete_twin.errors import KinematicsError
-from athlete_twin.geometry.arrays import Joints, Points3, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, PerLegFlag, Points3, Vec3, Wheels
 from athlete_twin.model.spec import LEGS, RobotSpec
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -48,10 +48,36 @@ def leg_ik(
     points = np.asarray(wheels_in_hex, dtype=float)
     if points.ndim != 2 or points.shape[1] != 3:
         raise KinematicsError(f"wheel positions have shape {points.shape}, need (n, 3)")
-    pitch = [i for i, j in enumerate(spec.joints) if j.axis[1] == 1.0]
-    azimuth = spec.hip_azimuths[leg]
-    c, s = np.cos(azimuth), np.sin(azimuth)
     d = points - spec.hips_in_hex[leg]
+    return _solve(spec, d, spec.hip_azimuths[leg], last_link_in_hex, hip_pitch)
+
+
+def all_legs_ik(
+    spec: RobotSpec, wheels_in_hex: Wheels, *, last_link_in_hex: Vec3 | Wheels = DOWN, hip_pitch: float | None = None
+) -> tuple[Joints, PerLegFlag]:
+    """Joint angles (6, dof) [rad] that put all six axles at the given points (6, 3), and which legs reach theirs (6,).
+
+    The last links' direction is one for all legs, (3,), or one for each, (6, 3). One evaluation for the six of them:
+    an executive that moves its chassis asks for this at every control tick.
+    """
+    last_links = np.broadcast_to(np.asarray(last_link_in_hex, dtype=float), (LEGS, 3)).T
+    return _solve(spec, np.asarray(wheels_in_hex) - spec.hips_in_hex, spec.hip_azimuths, last_links, hip_pitch)
+
+
+def _solve(
+    spec: RobotSpec, d: np.ndarray, azimuth: float | np.ndarray, last_link: np.ndarray, hip_pitch: float | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Angles (n, dof) of n wheels, each at `d` (n, 3) [m] from the hip of its leg, and which exist (n,).
+
+    Args:
+        spec: the drawings.
+        d: wheel less hip, in hex [m].
+        azimuth: of the hip, one or (n,) [rad].
+        last_link: its components in hex, each one or (n,).
+        hip_pitch: of a leg with two thighs [rad]; by the drawings' rule when None.
+    """
+    pitch = [i for i, j in enumerate(spec.joints) if j.axis[1] == 1.0]
+    c, s = np.cos(azimuth), np.sin(azimuth)
     x, y = c * d[:, 0] + s * d[:, 1], -s * d[:, 0] + c * d[:, 1]
     yaw = np.arctan2(y, x)
     hip = spec.joints[pitch[0]].offset
@@ -60,18 +86,18 @@ def leg_ik(
     reach = out.copy()
 
     heading = azimuth + yaw
-    radial = np.cos(heading) * last_link_in_hex[0] + np.sin(heading) * last_link_in_hex[1]
-    last_angle = np.arctan2(-last_link_in_hex[2], radial)
+    radial = np.cos(heading) * last_link[0] + np.sin(heading) * last_link[1]
+    last_angle = np.arctan2(-last_link[2], radial)
     last = float(spec.wheel.offset[0])
     out, down = out - last * np.cos(last_angle), down - last * np.sin(last_angle)
 
-    q = np.zeros((len(points), spec.dof))
+    q = np.zeros((len(d), spec.dof))
     q[:, 0] = yaw
-    base = np.zeros(len(points))
+    base = np.zeros(len(d))
     upper_length = float(spec.joints[pitch[1]].offset[0])
     if len(pitch) == 4:
         by_rule = hip_pitch is None
-        first = _first_thigh(spec, reach, out, down, upper_length, pitch) if by_rule else np.full(len(points), hip_pitch)
+        first = _first_thigh(spec, reach, out, down, upper_length, pitch) if by_rule else np.full(len(d), hip_pitch)
         base += first
         out, down = out - upper_length * np.cos(first), down - upper_length * np.sin(first)
         q[:, pitch[0]] = first
@@ -113,14 +139,3 @@ def _first_thigh(
     cosine = (thigh**2 + distance**2 - rest**2) / (2 * thigh * distance)
     lowest = np.arctan2(down, out) - np.arccos(np.clip(cosine, -1.0, 1.0))
     return np.asarray(np.clip(np.maximum(wanted, lowest), spec.joints[1].lower + THIGH_MARGIN, MAX_THIGH))
-
-
-def all_legs_ik(
-    spec: RobotSpec, wheels_in_hex: Wheels, *, last_link_in_hex: Vec3 = DOWN, hip_pitch: float | None = None
-) -> tuple[Joints, np.ndarray]:
-    """Joint angles (6, dof) [rad] that put all six axles at the given points (6, 3), and which legs reach theirs (6,)."""
-    solved = [
-        leg_ik(spec, leg, wheels_in_hex[leg : leg + 1], last_link_in_hex=last_link_in_hex, hip_pitch=hip_pitch)
-        for leg in range(LEGS)
-    ]
-    return np.concatenate([q for q, _ in solved]), np.array([bool(ok[0]) for _, ok in solved])

@@ -158,15 +158,11 @@ class Body:
         )
         ground = tyres.step(self.axles, self.axes, self._axle_velocities, self._axle_spins, self.world.tick)
         self.tyre = ground
+        forces, patches = ground.forces_in_world.tolist(), ground.patches_in_world.tolist()
         for leg in range(LEGS):
             if ground.loads[leg] > 0.0:
                 b.applyExternalForce(
-                    robot,
-                    self._wheels[leg],
-                    ground.forces_in_world[leg].tolist(),
-                    ground.patches_in_world[leg].tolist(),
-                    b.WORLD_FRAME,
-                    physicsClientId=client,
+                    robot, self._wheels[leg], forces[leg], patches[leg], b.WORLD_FRAME, physicsClientId=client
                 )
         b.stepSimulation(physicsClientId=client)
         self._read()
@@ -286,15 +282,15 @@ class Body:
             self.robot, self._wheels, computeLinkVelocity=1, computeForwardKinematics=1, physicsClientId=client
         )
         poses = np.array([w[4] + w[5] + w[6] + w[7] for w in wheels])  # one array: making each costs more than filling it
-        self.axles: Wheels = poses[:, :3].copy()
+        axles, axes, velocities, spins, fastest, fastest_wheel, finite = _digest(poses, angles, rates)
+        self.axles: Wheels = axles
         """axle centres in world, shape (6, 3) [m]"""
-        self.axes: Wheels = _y_axes(poses[:, 3:7])
+        self.axes: Wheels = axes
         """unit axle directions in world, shape (6, 3)"""
-        self._axle_velocities, self._axle_spins = poses[:, 7:10].copy(), poses[:, 10:].copy()
-        fastest = max(np.abs(rates).max(), np.abs(poses[:, 7:]).max())
+        self._axle_velocities, self._axle_spins = velocities, spins
         self.calm_ticks = self.calm_ticks + 1 if fastest < STILL_SPEED else 0
-        if not np.isfinite(angles).all() or np.abs(self._axle_velocities).max() > RUNAWAY_SPEED:
-            raise PhysicsError(f"the simulation ran away: a wheel moves at {np.abs(self._axle_velocities).max():.1f} m/s")
+        if not finite or fastest_wheel > RUNAWAY_SPEED:
+            raise PhysicsError(f"the simulation ran away: a wheel moves at {fastest_wheel:.1f} m/s")
 
     def _load(self, payload_kg: float) -> int:
         b, client = self._bullet, self._client
@@ -403,15 +399,30 @@ class Body:
 
 @no_type_check
 @numba.njit(cache=True)
-def _y_axes(quaternions):  # type: ignore[no-untyped-def]
-    """The y axes, (n, 3), of frames whose orientations are xyzw quaternions, (n, 4)."""
-    axes = np.empty((len(quaternions), 3))
-    for i in range(len(quaternions)):
-        x, y, z, w = quaternions[i]
+def _digest(poses, angles, rates):  # type: ignore[no-untyped-def]
+    """What a tick needs of the wheels' poses, (6, 13): position, xyzw, velocity, spin in world; and of the joints, (n,).
+
+    Axles, their unit y axes, velocities and spins, (6, 3) each; the fastest of all joints and wheels [rad/s, m/s], the
+    fastest wheel [m/s], and whether all is finite.
+    """
+    n = len(poses)
+    axes = np.empty((n, 3))
+    fastest_wheel, fastest, finite = 0.0, 0.0, True
+    for i in range(n):
+        x, y, z, w = poses[i, 3], poses[i, 4], poses[i, 5], poses[i, 6]
         axes[i, 0] = 2 * (x * y - w * z)
         axes[i, 1] = 1 - 2 * (x * x + z * z)
         axes[i, 2] = 2 * (y * z + w * x)
-    return axes
+        for k in range(13):
+            finite = finite and np.isfinite(poses[i, k])
+        for k in range(3):
+            fastest_wheel = max(fastest_wheel, abs(poses[i, 7 + k]))
+            fastest = max(fastest, abs(poses[i, 10 + k]))
+    for i in range(len(angles)):
+        finite = finite and np.isfinite(angles[i]) and np.isfinite(rates[i])
+        fastest = max(fastest, abs(rates[i]))
+    axles, velocities, spins = poses[:, :3].copy(), poses[:, 7:10].copy(), poses[:, 10:].copy()
+    return axles, axes, velocities, spins, max(fastest, fastest_wheel), fastest_wheel, finite
 
 
 def settled(body: Body) -> bool:

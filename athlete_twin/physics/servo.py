@@ -12,6 +12,10 @@ slips, and both encoders follow.
 
 from __future__ import annotations
 
+import math
+from typing import no_type_check
+
+import numba
 import numpy as np
 
 from athlete_twin.geometry.arrays import Joints
@@ -37,31 +41,19 @@ class Servos:
         """by ratcheting, motor less gear [rad]"""
         self.stuck = np.zeros(start.shape, dtype=bool)
         """joints whose motor does not turn any more"""
-        self._slack = self.limits / self.stiffness
-        self._holding = truth.joint_holding * self._slack
-        self._ratchets = truth.joint_ratchet > 0.0
-        self._ratchet = truth.joint_ratchet * self.limits
+        self._holding = truth.joint_holding
+        self._ratchet = truth.joint_ratchet
         self._tooth = truth.joint_tooth
         self._friction = truth.joint_friction * self.limits
         self._rubbed = np.zeros(start.shape)
 
     def step(self, links: Joints, link_rates: Joints, commands: Joints, rate_limits: Joints, dt: float) -> Joints:
         """Torques on the links [N m]; moves the motors towards their commands by at most `rate_limits * dt`."""
-        step = rate_limits * dt
-        step[self.stuck] = 0.0
-        unloaded = links + self.slipped
-        wanted = self.motors + np.clip(commands - self.motors, -step, step)
-        # At the limit the motor stalls: it goes no farther into the load, nor is it driven back.
-        self.motors = np.clip(
-            wanted, np.minimum(self.motors, unloaded - self._slack), np.maximum(self.motors, unloaded + self._slack)
-        )
-        if self._ratchets:
-            self._skip(links)
-        else:
-            np.clip(self.motors, unloaded - self._holding, unloaded + self._holding, out=self.motors)
-        self._rubbed = np.clip(self._rubbed + link_rates * dt, -RUBBING_STROKE, RUBBING_STROKE)
-        friction = self._friction * (self._rubbed / RUBBING_STROKE)
-        return np.asarray(self.torques(links) - self.damping * link_rates - friction)
+        torques: Joints = _servo_kernel(
+            links, link_rates, commands, rate_limits, dt, self.motors, self.slipped, self._rubbed, self.stuck, self.stiffness,
+            self.damping, self.limits, self._friction, self._holding, self._ratchet, self._tooth,
+        )  # fmt: skip
+        return torques
 
     def state(self) -> dict[str, np.ndarray]:
         """Copies of all that changes from tick to tick, for `set_state`."""
@@ -77,7 +69,30 @@ class Servos:
         """Torque carried by the springs [N m]."""
         return np.asarray(self.stiffness * (self.motors - self.slipped - links))
 
-    def _skip(self, links: Joints) -> None:
-        torques = self.torques(links)
-        teeth = np.ceil((np.abs(torques) - self._ratchet) / (self.stiffness * self._tooth))
-        self.slipped += np.sign(torques) * np.maximum(teeth, 0.0) * self._tooth
+
+@no_type_check
+@numba.njit(cache=True)
+def _servo_kernel(  # type: ignore[no-untyped-def]
+    links, link_rates, commands, rate_limits, dt, motors, slipped, rubbed, stuck, stiffness, damping, limits, friction,
+    holding, ratchet, tooth,
+):  # fmt: skip
+    """One tick of all joints, each by itself: changes `motors`, `slipped` and `rubbed`; the torques on the links [N m]."""
+    torques = np.empty(links.shape)
+    for i in np.ndindex(links.shape):
+        slack = limits[i] / stiffness[i]
+        unloaded = links[i] + slipped[i]
+        step = 0.0 if stuck[i] else rate_limits[i] * dt
+        wanted = motors[i] + min(max(commands[i] - motors[i], -step), step)
+        # At the limit the motor stalls: it goes no farther into the load, nor is it driven back.
+        motor = min(max(wanted, min(motors[i], unloaded - slack)), max(motors[i], unloaded + slack))
+        if ratchet > 0.0:
+            torque = stiffness[i] * (motor - unloaded)
+            teeth = math.ceil((abs(torque) - ratchet * limits[i]) / (stiffness[i] * tooth))
+            slipped[i] += math.copysign(max(teeth, 0) * tooth, torque)
+        else:
+            motor = min(max(motor, unloaded - holding * slack), unloaded + holding * slack)
+        motors[i] = motor
+        rubbed[i] = min(max(rubbed[i] + link_rates[i] * dt, -RUBBING_STROKE), RUBBING_STROKE)
+        spring = stiffness[i] * (motor - slipped[i] - links[i])
+        torques[i] = spring - damping[i] * link_rates[i] - friction[i] * (rubbed[i] / RUBBING_STROKE)
+    return torques

@@ -8,10 +8,12 @@ import pytest
 
 from athlete_twin.athlete import Athlete
 from athlete_twin.errors import PhysicsError
+from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.messages import BodyMove, Command, CommandSequence, Fault, LegMove
-from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import load_spec
+from athlete_twin.model.stance import stance_wheels_in_hex
 from athlete_twin.physics.body import Body, settled
 from athlete_twin.world.scenario import load_scenario
 
@@ -21,6 +23,8 @@ FINE_TICK = 1.0 / 2000.0  # [s]
 LIFT = 0.30  # [m]
 HELD = 20.0  # [s]
 HELD_TOLERANCE = 0.1e-3  # [m]
+EDGE = 0.12  # [m]
+CALM_LOAD = 1e-3  # of the weight
 CLOCK_RATE = 1000.0  # x real time
 
 
@@ -127,3 +131,39 @@ def test_what_sways_is_not_settled_where_it_turns(make_body):
     before = body.axles.copy()
     run(body, commands, 5.0)
     assert np.abs(body.axles - before).max() < HELD_TOLERANCE
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("overhang", [-0.4, 0.0, 0.4])
+def test_a_robot_with_a_wheel_on_an_edge_comes_to_rest(make_body, robot, overhang):
+    """The edge runs past wheel 2, inside, under or outside its axle by a part of its radius; T12 sways for 25 s."""
+    spec = load_spec(robot)
+    wheel = stance_wheels_in_hex(spec)[1]
+    along = np.linspace(-6.0, 6.0, 241)
+    beyond = (along[:, None] >= wheel[0] + overhang * spec.wheel.radius) & (np.abs(along[None, :] - wheel[1]) < 0.6)
+    ground = HeightGrid(origin_x=-6.0, origin_y=-6.0, cell=0.05, heights=np.where(beyond, EDGE, 0.0))
+    body = make_body(robot, ground=ground)
+    commands = body.motors
+    run(body, commands, 30.0)
+    assert settled(body)
+    before, axles = body.tyre.loads.copy(), body.axles.copy()
+    run(body, commands, 1.0)
+    assert np.abs(body.tyre.loads - before).max() < CALM_LOAD * spec.mass * GRAVITY
+    assert np.abs(body.axles - axles).max() < HELD_TOLERANCE
+    assert body.tyre.loads[1] > 0.0
+
+
+def test_a_robot_that_has_not_settled_is_not_at_rest(monkeypatch):
+    monkeypatch.setattr("athlete_twin.athlete.SETTLE_LIMIT", 0.2)
+    athlete = Athlete(load_spec("t12"), load_scenario("calibration_yard"), 0)
+    try:
+        assert athlete.truth().moving
+        before = athlete.body.axles.copy()
+        while athlete.t < 1.0 - 1e-6:
+            athlete.advance(1.0)
+        assert np.abs(athlete.body.axles - before).max() > HELD_TOLERANCE
+        while athlete.t < 60.0 - 1e-6:
+            athlete.advance(60.0)
+        assert not athlete.truth().moving
+    finally:
+        athlete.close()
