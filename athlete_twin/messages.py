@@ -29,9 +29,13 @@ import cv2
 import numpy as np
 
 from athlete_twin.errors import CommandError, MessageError
-from athlete_twin.geometry.arrays import Image, Joints, Vec3
+from athlete_twin.geometry.arrays import Joints, RawImage, Vec3
 
 GUARDS = ("none", "break_contact", "contact")
+BITS = (8, 12)
+"""of a grey value"""
+MAX_BRACKETS = 5
+"""exposures of one request"""
 RECEIPT_STATES = ("queued", "executing", "completed", "failed", "cancelled")
 EXECUTIVE_STATES = ("idle", "executing", "stopped", "fault")
 
@@ -129,19 +133,31 @@ class Drive:
 
 @dataclass(frozen=True, kw_only=True)
 class ImageRequest:
-    """Take stereo pairs, one of each named camera, at the same time."""
+    """Take stereo pairs of each named camera, all at the same time: one, or one for each exposure of a bracket."""
 
     kind: ClassVar[str] = "image_request"
     cameras: tuple[str, ...]
     binning: int = 2
     """pixels averaged along each axis: 1, 2 or 4"""
+    bits: int = 8
+    """of a grey value: 8 or 12"""
+    brackets: tuple[float, ...] = (1.0,)
+    """exposures, in multiples of the metered one, 1/64 to 64: what is white in one is told in another"""
 
     def __post_init__(self) -> None:
         if not self.cameras:
             raise CommandError("an image request names no camera")
         if self.binning not in (1, 2, 4):
             raise CommandError(f"binning {self.binning} is not one of 1, 2, 4")
+        if self.bits not in BITS:
+            raise CommandError(f"{self.bits} bits a grey value is not one of {', '.join(map(str, BITS))}")
+        brackets = tuple(float(b) for b in self.brackets)
+        if not 1 <= len(brackets) <= MAX_BRACKETS:
+            raise CommandError(f"{len(brackets)} exposures make no bracket, need 1 to {MAX_BRACKETS}")
+        if not all(1.0 / 64.0 <= b <= 64.0 for b in brackets):
+            raise CommandError(f"exposures {brackets} must lie between 1/64 and 64 times the metered one")
         object.__setattr__(self, "cameras", tuple(self.cameras))
+        object.__setattr__(self, "brackets", brackets)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -241,12 +257,21 @@ class StereoPair(Message):
     topic: ClassVar[str] = "/downlink/stereo_pair"
     camera: str
     binning: int
-    left: Image
-    """8-bit grey, shape (h, w)"""
-    right: Image
+    left: RawImage
+    """grey, shape (h, w), linear in the light; 8 bits in uint8, 12 in uint16"""
+    right: RawImage
     exposure: float
     """[s]"""
     state: Telemetry
+    bits: int = 8
+    """of a grey value: 8 or 12"""
+    bracket: int = 0
+    """which exposure of the request's bracket; all of one bracket have the same `t`"""
+
+    @property
+    def white(self) -> int:
+        """Grey value of a saturated pixel."""
+        return int(2**self.bits - 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -329,7 +354,7 @@ def _split_body(body: bytes) -> tuple[bytes, list[bytes]]:
 
 def _to_plain(value: Any, blobs: list[bytes] | None) -> Any:
     if isinstance(value, np.ndarray):
-        if value.dtype == np.uint8 and value.ndim == 2:
+        if value.dtype in (np.uint8, np.uint16) and value.ndim == 2:
             if blobs is None:
                 return {"image_size": list(value.shape)}
             ok, png = cv2.imencode(".png", value, [cv2.IMWRITE_PNG_COMPRESSION, 4])
@@ -354,7 +379,7 @@ def _from_plain(value: Any, blobs: list[bytes]) -> Any:
     if not isinstance(value, dict):
         return value
     if "png" in value:
-        return cv2.imdecode(np.frombuffer(blobs[value["png"]], dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
+        return cv2.imdecode(np.frombuffer(blobs[value["png"]], dtype=np.uint8), cv2.IMREAD_UNCHANGED)
     if "array" in value:
         return np.array(value["array"], dtype=float)
     if "message" in value:

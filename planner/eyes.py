@@ -70,7 +70,7 @@ class Eyes:
         self.looks = []
         matched = [self._matched(pair) for pair in pairs]
         masked = [self._masked(pair, depth, belief) for pair, depth in zip(pairs, matched, strict=True)]
-        poses = [belief.world_from_hex.compose(self._kin.spec.camera(p.camera).hex_from_camera) for p in pairs]
+        poses = [belief.world_from_hex.compose(depth.camera.hex_from_camera) for depth in matched]
         correction, alignment = SE3.identity(), None
         if self._config.localisation_method == "wheels_and_map":
             with self._timer("localise"):
@@ -98,8 +98,9 @@ class Eyes:
         self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4)
 
     def _matched(self, pair: StereoPair) -> DepthImage:
+        camera = self._kin.spec.camera(pair.camera).riding(self._kin.link_poses(pair.state.joints))
         with self._timer("stereo"):
-            return match(pair, self._kin.spec.camera(pair.camera), config=self._config.stereo)
+            return match(pair, camera, config=self._config.stereo)
 
     def _masked(self, pair: StereoPair, depth: DepthImage, belief: Belief) -> MaskedDepth:
         if not self._parts and self._config.self_mask.method in ("kinematic", "combined"):

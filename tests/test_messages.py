@@ -145,3 +145,32 @@ def test_log_content_carries_the_header(message):
 def test_malformed_commands_are_refused(make, said):
     with pytest.raises(CommandError, match=said):
         make()
+
+
+
+@given(telemetries, hnp.arrays(np.uint16, (9, 12), elements=st.integers(0, 4095)))
+@SETTINGS
+def test_a_12_bit_pair_comes_out_as_it_went_in(state, picture):
+    pair = StereoPair(
+        seq=1, robot_id="sdm_b", t=2.0, camera="hazcam_1", binning=2, left=picture, right=picture[::-1].copy(),
+        exposure=0.01, state=state, bits=12, bracket=1,
+    )  # fmt: skip
+    again = decode(encode(pair))
+    assert isinstance(again, StereoPair)
+    assert np.array_equal(again.left, picture) and again.left.dtype == np.uint16
+    assert np.array_equal(again.right, pair.right)
+    assert (again.bits, again.bracket, again.white) == (12, 1, 4095)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"bits": 10}, "10 bits a grey value is not one of 8, 12"),
+        ({"brackets": ()}, "0 exposures make no bracket, need 1 to 5"),
+        ({"brackets": (1.0, float("nan"))}, "between 1/64 and 64"),
+        ({"brackets": (100.0,)}, "between 1/64 and 64"),
+    ],
+)
+def test_an_image_request_refuses_a_wrong_bracket(wrong, message):
+    with pytest.raises(CommandError, match=message):
+        ImageRequest(cameras=("hazcam_1",), **wrong)

@@ -1,7 +1,7 @@
 """Shaped array types. Shapes are enforced while the tests run (jaxtyping with beartype), and are documentation otherwise."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Integer, UInt8
+from jaxtyping import Bool, Float, Integer, UInt8, UInt16
 
 Vec2 = Float[np.ndarray, "2"]
 Vec3 = Float[np.ndarray, "3"]
@@ -17,6 +17,7 @@ Wheels = Float[np.ndarray, "6 3"]
 PerLeg = Float[np.ndarray, "6"]
 PerLegFlag = Bool[np.ndarray, "6"]
 Image = UInt8[np.ndarray, "h w"]
+RawImage = UInt8[np.ndarray, "h w"] | UInt16[np.ndarray, "h w"]
 DepthMap = Float[np.ndarray, "h w"]
 Mask = Bool[np.ndarray, "h w"]
 Cells = Float[np.ndarray, "nx ny"]

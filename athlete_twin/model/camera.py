@@ -1,13 +1,19 @@
-"""Pinhole stereo cameras as drawn: where they sit on the chassis, what they see. Rectified, so one focal length a pair."""
+"""Pinhole stereo cameras as drawn: where they sit, on the chassis or on a leg, what they see.
+
+Rectified, so one focal length a pair.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from athlete_twin.errors import CameraError
 from athlete_twin.geometry.se3 import SE3
+
+CHASSIS = "hex"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,12 +82,29 @@ class StereoCamera:
     name: str
     """such as "hazcam_2": group and number from 1, in the order of the drawings"""
     group: str
-    """"navcam" or "hazcam" """
-    hex_from_camera: SE3
-    """pose of the left eye"""
+    """"navcam", "hazcam" or "toolcam" """
+    link_from_camera: SE3
+    """pose of the left eye on its link"""
     baseline: float
     """[m]"""
     eye: Pinhole
+    link: str = CHASSIS
+    """URDF name of the link that carries it"""
+
+    @property
+    def hex_from_camera(self) -> SE3:
+        """Pose of the left eye on the chassis; a camera that rides on a leg has one only `riding` on it."""
+        if self.link != CHASSIS:
+            raise CameraError(f"camera {self.name} rides on {self.link}: its place in hex needs the leg's joints")
+        return self.link_from_camera
+
+    def riding(self, hex_from_link: Mapping[str, SE3]) -> StereoCamera:
+        """This camera as one on the chassis, while the links are where they are."""
+        if self.link == CHASSIS:
+            return self
+        if self.link not in hex_from_link:
+            raise CameraError(f"camera {self.name} rides on {self.link}, which is not among the given links")
+        return replace(self, link=CHASSIS, link_from_camera=hex_from_link[self.link].compose(self.link_from_camera))
 
     def hex_from_right(self) -> SE3:
         """Pose of the right eye."""

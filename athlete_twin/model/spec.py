@@ -291,7 +291,7 @@ def _cameras(group: dict[str, Any]) -> list[StereoCamera]:
         StereoCamera(
             name=f"{group['group']}_{number}",
             group=group["group"],
-            hex_from_camera=mounted(float(np.deg2rad(azimuth)), radius, height, look, pitch, baseline),
+            link_from_camera=mounted(float(np.deg2rad(azimuth)), radius, height, look, pitch, baseline),
             baseline=baseline,
             eye=eye,
         )

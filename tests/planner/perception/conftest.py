@@ -88,7 +88,7 @@ def looking(height, pitch_deg, *, baseline=0.15, width=512, rows=384, hfov_deg=7
     rotation = np.column_stack([right, np.cross(forward, right), forward])
     return StereoCamera(
         name=f"{group}_1", group=group, baseline=baseline, eye=Pinhole.from_fov(width, rows, np.deg2rad(hfov_deg)),
-        hex_from_camera=SE3(rotation, np.array([0.0, 0.0, height])),
+        link_from_camera=SE3(rotation, np.array([0.0, 0.0, height])),
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ def seen(point_in_hex: np.ndarray) -> tuple[DepthImage, tuple[int, int]]:
     """A depth image with a single known pixel, at a point in hex, by a camera that looks at the robot from the front."""
     eye = Pinhole.from_fov(512, 384, 1.2)
     pose = mounted(0.0, 9.0, 0.0, "inward", 0.15, 0.2)
-    camera = StereoCamera(name="onlooker_1", group="navcam", hex_from_camera=pose, baseline=0.2, eye=eye)
+    camera = StereoCamera(name="onlooker_1", group="navcam", link_from_camera=pose, baseline=0.2, eye=eye)
     pixel, depth = eye.project(pose.inverse().apply(point_in_hex))
     column, row = np.rint(pixel).astype(int)
     assert depth > 0.0

@@ -178,7 +178,7 @@ def depth_of_plane(height, pitch):
         group="hazcam",
         baseline=0.15,
         eye=Pinhole.from_fov(512, 384, np.deg2rad(70.0)),
-        hex_from_camera=SE3.identity(),
+        link_from_camera=SE3.identity(),
     )
     forward, right = np.array([np.cos(pitch), 0.0, -np.sin(pitch)]), np.array([0.0, -1.0, 0.0])
     world_from_camera = SE3(np.column_stack([right, np.cross(forward, right), forward]), np.array([0.0, 0.0, height]))
