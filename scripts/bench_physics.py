@@ -12,14 +12,13 @@ Times are processor seconds (one thread): other jobs on the machine spoil them l
 
 from __future__ import annotations
 
-import json
 import sys
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import tyro
+from bench_table import Row, row, show
 from mujoco_peer import mujoco_speed
 from naive_pybullet import naive_speed
 
@@ -30,7 +29,6 @@ from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.world.bullet_world import TICK
 from athlete_twin.world.scenario import Scenario, load_scenario
-from envs.provenance import provenance
 
 CELLS, CELL = 400, 0.05
 """the field: cells along each side, and their edge [m]"""
@@ -65,26 +63,11 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the script; the exit status."""
     options = tyro.cli(Options, args=arguments, description=__doc__)
     try:
-        rows = [row for robot in options.robots for row in _rows(robot, _field(options.scenario))]
+        rows = [r for robot in options.robots for r in _rows(robot, _field(options.scenario))]
     except AthleteError as e:
         sys.stderr.write(f"bench_physics: {' '.join(str(e).split())}\n")
         return 2
-    if options.json:
-        sys.stdout.write(json.dumps({"rows": rows, "provenance": provenance()}) + "\n")
-        return 0
-    from rich.console import Console
-    from rich.table import Table
-
-    table = Table("what", "ours", "peer", "ratio", "target", "met")
-    for row in rows:
-        peer = "-" if row["peer"] is None else f"{row['peer']:.3g}"
-        named = peer if row["peer_name"] is None else f"{peer} ({row['peer_name']})"
-        table.add_row(
-            f"{row['name']} [{row['unit']}]", f"{row['ours']:.3g}", named,
-            "-" if row["ratio"] is None else f"{row['ratio']:.3g}", row["target"],
-            {True: "yes", False: "no", None: "-"}[row["met"]],
-        )  # fmt: skip
-    Console().print(table)
+    show(rows, as_json=options.json)
     return 0
 
 
@@ -94,7 +77,7 @@ def _field(scenario: str) -> Scenario:
     return replace(load_scenario(scenario), size=(side, side), x_min=-0.5 * side, cell=CELL)
 
 
-def _rows(robot: str, scenario: Scenario) -> list[dict[str, Any]]:
+def _rows(robot: str, scenario: Scenario) -> list[Row]:
     spec = load_spec(robot)
     athlete = Athlete(spec, scenario, 0)
     try:
@@ -116,21 +99,15 @@ def _rows(robot: str, scenario: Scenario) -> list[dict[str, Any]]:
     ]
 
 
-def _against(name: str, ours: float, peer_name: str, peer: float | None, target: float) -> dict[str, Any]:
+def _against(name: str, ours: float, peer_name: str, peer: float | None, target: float) -> Row:
     """A row whose target is for our figure over the peer's."""
-    ratio = None if peer is None else ours / peer
-    return {
-        "name": f"{name} against {peer_name.split(',')[0]}", "ours": ours, "unit": UNIT, "peer_name": peer_name, "peer": peer,
-        "ratio": ratio, "target": f">= {target}", "met": None if ratio is None else ratio >= target,
-    }  # fmt: skip
+    against = f"{name} against {peer_name.split(',')[0]}"
+    return row(against, ours, UNIT, target=f">= {target}", of="ratio", peer_name=peer_name, peer=peer)
 
 
-def _by_itself(name: str, ours: float, target: float) -> dict[str, Any]:
+def _by_itself(name: str, ours: float, target: float) -> Row:
     """A row whose target is for our figure."""
-    return {
-        "name": name, "ours": ours, "unit": UNIT, "peer_name": None, "peer": None, "ratio": None,
-        "target": f">= {target}", "met": ours >= target,
-    }  # fmt: skip
+    return row(name, ours, UNIT, target=f">= {target}")
 
 
 def _swing(athlete: Athlete) -> float:
