@@ -117,6 +117,7 @@ class Athlete:
         trial: TrialTruth | None = None,
         terrain: Terrain | None = None,
     ) -> None:
+        self._breakage = Breakage(scenario, spec)  # before there is a physics client that a refusal would leave behind
         self.spec, self.scenario, self.seed = spec, scenario, seed
         self.robot_id = spec.name
         self.on_view: Callable[[ViewTruth], None] | None = None
@@ -140,7 +141,6 @@ class Athlete:
                 acceleration=truth.acceleration_noise,
             ),
         )
-        self._breakage = Breakage(scenario.faults, spec)
         self._lost: list[Event] = []
         self._eyes: Any = None
         self.t = 0.0
