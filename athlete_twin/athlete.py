@@ -334,12 +334,6 @@ class Athlete:
     def _capture(self, event: Event) -> list[Message]:
         if event.request is None:
             return []
-        unknown = [c for c in event.request.cameras if c not in {k.name for k in self.spec.cameras}]
-        if unknown:
-            text = f"camera {unknown[0]!r} is not on {self.spec.name}"
-            return self._tell(
-                [Event(kind="fault", sequence_id=event.sequence_id, command_index=event.command_index, status="bad_command", text=text)]
-            )
         if self._eyes is None:
             from athlete_twin.sensors.renderer import Renderer
             from athlete_twin.sensors.stereo_camera import StereoRig

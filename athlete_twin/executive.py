@@ -149,6 +149,8 @@ class Executive:
             return [self._receipt(run.sequence.sequence_id, -1, "completed")]
         command = commands[run.index]
         events: list[Event] = []
+        if isinstance(command, ImageRequest):
+            self._check_cameras(command)
         if isinstance(command, ImageRequest | Wait):
             run.dwell += CONTROL_PERIOD
             if run.dwell < (command.duration if isinstance(command, Wait) else IMAGING_TIME):
@@ -171,6 +173,13 @@ class Executive:
         run.index, run.move, run.dwell = run.index + 1, None, 0.0
         self.command_index = run.index
         return events
+
+    def _check_cameras(self, command: ImageRequest) -> None:
+        known = [camera.name for camera in self.kin.spec.cameras]
+        for name in command.cameras:
+            if name not in known:
+                text = f"camera {name!r} is not on {self.kin.spec.name}; it has {', '.join(known)}"
+                raise MoveFailedError("bad_command", text)
 
     def _begin(self, command: Command) -> Move:
         self._swing_force = None

@@ -224,6 +224,19 @@ def test_pictures_are_asked_for_after_standing_still():
     assert [x.request.cameras for x in events if x.kind == "capture"] == [("hazcam_1",)]
 
 
+def test_a_camera_that_the_robot_lacks_is_a_bad_command_and_nothing_is_completed():
+    e = executive()
+    e.accept(sequence(Wait(duration=0.1), ImageRequest(cameras=("hazcam_1", "eye"))))
+    events = run(e)
+    (fault,) = [x for x in events if x.kind == "fault"]
+    assert (fault.status, fault.command_index) == ("bad_command", 1)
+    assert "camera 'eye' is not on sdm_b; it has navcam_1, " in fault.text
+    assert not [x for x in events if x.kind == "capture"]
+    outcomes = [(x.command_index, x.status) for x in events if x.kind == "receipt"]
+    assert outcomes == [(0, "completed"), (1, "failed")]
+    assert e.state == "fault"
+
+
 def test_a_full_queue_refuses_with_a_receipt():
     e = executive()
     statuses = [e.accept(sequence(Wait(duration=1.0), number=n))[0].status for n in range(10)]
