@@ -2,7 +2,8 @@
 
 The same executive runs the same commands. In place of physics stands a chassis that sinks into six equal linear foot
 springs (the drawings' belief, so that guards see loads), keeps its planted wheels where they are and is always settled.
-Joints do not wind up. Its pictures show a flat, textured ground without robot or rocks.
+Joints do not wind up, and nothing breaks: `envs` refuses the mock a scenario that injects faults. Its pictures show a
+flat, textured ground without robot or rocks.
 """
 
 from __future__ import annotations
