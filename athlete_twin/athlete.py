@@ -286,7 +286,7 @@ class Athlete:
         measured = self._sense()
         sensed = Sensed(joints=measured.joints, torques=measured.torques, attitude_rpy=measured.attitude_rpy)
         before, state = self.executive.setpoint, self.executive.state
-        events = self.executive.tick(sensed)
+        events = [] if self._breakage.dark(self.t) else self.executive.tick(sensed)
         commands = self.executive.setpoint - self.trial.encoder_zero
         rates = np.maximum(np.abs(self.executive.setpoint - before) / CONTROL_PERIOD, 1e-3)
         rates = np.minimum(rates, self.spec.speed_unloaded)
