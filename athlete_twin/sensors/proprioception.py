@@ -1,7 +1,8 @@
 """What the robot feels of itself: encoders on both sides of each joint's spring, inertial attitude, rates, acceleration.
 
-Torque is not measured but read from the spring: motor angle less joint angle, times the stiffness, which the
-robot was calibrated for: exactly, since no source says how well it was. So an encoder's zero error is an error of angle and, where its two encoders disagree, of torque.
+Torque is not measured but read from the spring: motor angle less joint angle, times the stiffness, which the robot was
+calibrated for: exactly, since no source says how well it was. So an encoder's zero error is an error of angle and, where
+its two encoders disagree, of torque.
 """
 
 from __future__ import annotations
