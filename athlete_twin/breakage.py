@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from athlete_twin.errors import ConfigError
@@ -12,22 +10,19 @@ from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.physics.body import Body
 from athlete_twin.sensors.proprioception import Proprioception
 from athlete_twin.world.injected import InjectedFault
+from athlete_twin.world.scenario import Scenario
 
 
 class Breakage:
     """Faults that wait for their time, and those at work."""
 
-    def __init__(self, faults: Iterable[InjectedFault], spec: RobotSpec) -> None:
-        """Refuses a joint or a camera that this robot does not have."""
-        self._waiting = sorted(faults, key=lambda f: f.t)
-        for fault in self._waiting:
-            if fault.joint and fault.joint not in spec.joint_names:
-                raise ConfigError(
-                    f"fault {fault.kind} at {fault.t:g} s: joint {fault.joint!r} is not on {spec.name}; "
-                    f"it has {', '.join(spec.joint_names)}"
-                )
-            if fault.camera:
-                spec.camera(fault.camera)
+    def __init__(self, scenario: Scenario, spec: RobotSpec) -> None:
+        """Refuses a joint or a camera that this robot does not have: only here scenario and robot have met."""
+        for i, fault in enumerate(scenario.faults):
+            where = f"scenario {scenario.name!r}: fault[{i}]"
+            _known(f"{where}.joint", fault.joint, spec.joint_names, spec.name)
+            _known(f"{where}.camera", fault.camera, tuple(c.name for c in spec.cameras), spec.name)
+        self._waiting = sorted(scenario.faults, key=lambda f: f.t)
         self._spec = spec
         self._drifts: list[InjectedFault] = []
         self.dead_cameras: set[str] = set()
@@ -73,3 +68,8 @@ class Breakage:
         for fault in self._drifts:
             out[fault.leg, self._spec.joint_names.index(fault.joint)] += fault.value * (t - fault.t) / 60.0
         return out
+
+
+def _known(key: str, name: str, known: tuple[str, ...], robot: str) -> None:
+    if name and name not in known:
+        raise ConfigError(f"{key} = {name!r} is not on {robot}; it has {', '.join(known)}")

@@ -82,6 +82,8 @@ class Executive:
     """of the wheels on their forks [rad/s]"""
     _queue: deque[CommandSequence] = field(default_factory=deque)
     _running: _Running | None = None
+    ratcheted: set[tuple[int, int]] = field(default_factory=set)
+    """legs and joints told to have read more torque than their gears can hold, indices: they read wrong from then on"""
     _fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
     _allowed_fraction: np.ndarray = field(default_factory=lambda: np.zeros(0))
     _swing_force: np.ndarray | None = None
@@ -124,6 +126,9 @@ class Executive:
 
     def tick(self, sensed: Sensed) -> list[Event]:
         """Advance by one control period: new `setpoint`, and what there is to tell."""
+        slips = self._feel_gears(sensed)
+        if slips:
+            return slips
         if self._running is None:
             if not self._queue:
                 return []
@@ -149,6 +154,8 @@ class Executive:
             return [self._receipt(run.sequence.sequence_id, -1, "completed")]
         command = commands[run.index]
         events: list[Event] = []
+        if isinstance(command, ImageRequest):
+            self._check_cameras(command)
         if isinstance(command, ImageRequest | Wait):
             run.dwell += CONTROL_PERIOD
             if run.dwell < (command.duration if isinstance(command, Wait) else IMAGING_TIME):
@@ -172,6 +179,13 @@ class Executive:
         self.command_index = run.index
         return events
 
+    def _check_cameras(self, command: ImageRequest) -> None:
+        known = [camera.name for camera in self.kin.spec.cameras]
+        for name in command.cameras:
+            if name not in known:
+                text = f"camera {name!r} is not on {self.kin.spec.name}; it has {', '.join(known)}"
+                raise MoveFailedError("bad_command", text)
+
     def _begin(self, command: Command) -> Move:
         self._swing_force = None
         if isinstance(command, JointMove):
@@ -191,6 +205,33 @@ class Executive:
             self.phases[command.leg] = "stance"
         elif isinstance(command, LegMove | JointMove):
             self.phases[command.leg] = "swing"
+
+    def _feel_gears(self, sensed: Sensed) -> list[Event]:
+        """Faults of gears that must have skipped a tooth, each joint once; what is in execution stops.
+
+        A gear that ratchets lets go of what is above its torque, so a sound one never reads more, however it is struck.
+        After a tooth its reading is off by the tooth's worth for good. This shows where the load stayed on; a slip that
+        relieved the joint goes unnoticed. Nothing is corrected: the robot cannot know by how many teeth it is off.
+        """
+        spec = self.kin.spec
+        if spec.ratchet is None:
+            return []
+        fraction = sensed.torques / spec.torque_limits
+        found = {(int(leg), int(joint)) for leg, joint in np.argwhere(np.abs(fraction) > spec.ratchet)}
+        events: list[Event] = []
+        for leg, joint in sorted(found - self.ratcheted):
+            text = (
+                f"{spec.joint_names[joint]} of leg {leg + 1} reads {100 * fraction[leg, joint]:.0f} % of its limit, its gear holds "
+                f"{100 * spec.ratchet:.0f} %: a tooth slipped or an encoder is off, and its torque is wrong from now on"
+            )
+            if self._running is not None:
+                events += self._fail(MoveFailedError("ratchet_slip", text, leg))
+            else:
+                events.append(
+                    Event(kind="fault", sequence_id=-1, command_index=-1, status="ratchet_slip", text=text, leg=leg)
+                )
+        self.ratcheted |= found
+        return events
 
     def _guard(self, run: _Running, sensed: Sensed) -> None:
         spec = self.kin.spec

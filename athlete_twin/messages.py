@@ -289,11 +289,12 @@ class Receipt(Message):
 
 @dataclass(frozen=True, kw_only=True)
 class Fault(Message):
-    """Why the executive stopped a sequence."""
+    """Why the executive stopped a sequence, or what it noticed outside one."""
 
     topic: ClassVar[str] = "/downlink/fault"
     code: str
-    """"torque_limit", "tilt", "swing_contact", "no_contact", "contact_not_broken", "unreachable", "bad_command" or "brown_out" """
+    """"torque_limit", "tilt", "swing_contact", "no_contact", "contact_not_broken", "unreachable", "bad_command", "brown_out" or
+    "ratchet_slip", after which the torques of the joint that the text names are not to be believed"""
     text: str
     sequence_id: int
     command_index: int

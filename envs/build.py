@@ -36,7 +36,8 @@ def twin(
 
 
 def mock(spec: RobotSpec, scenario: Scenario) -> tuple[SimulatedRobot, HeightGrid]:
-    """The mock, standing, and flat ground of the scenario's size."""
+    """The mock, standing, and flat ground of the scenario's size. Nothing breaks in it: a scenario with faults is refused."""
+    check_unbroken(scenario)
     nx, ny = (int(np.ceil(size / FLAT_CELL)) + 1 for size in scenario.size)
     grid = HeightGrid(
         origin_x=scenario.x_min, origin_y=-0.5 * scenario.size[1], cell=FLAT_CELL, heights=np.zeros((nx, ny))
@@ -83,3 +84,13 @@ def check_payload(spec: RobotSpec, payload_kg: float) -> None:
     """Refuses a payload that the robot may not carry."""
     if not (np.isfinite(payload_kg) and 0.0 <= payload_kg <= spec.payload_limit):
         raise ConfigError(f"payload is {payload_kg} kg, {spec.name} carries 0 to {spec.payload_limit} kg")
+
+
+def check_unbroken(scenario: Scenario) -> None:
+    """Refuses a scenario whose faults a mock would not show."""
+    if scenario.faults:
+        kinds = ", ".join(sorted({fault.kind for fault in scenario.faults}))
+        raise ConfigError(
+            f"scenario {scenario.name!r} injects {kinds}: nothing breaks in the mock, which has no physics; "
+            "take the twin, by the id without '-Mock', or body='twin'"
+        )

@@ -18,7 +18,7 @@ from athlete_twin.messages import CommandSequence, Stop
 from athlete_twin.model.spec import RobotSpec, load_spec
 from athlete_twin.robot import SimulatedRobot
 from athlete_twin.world.scenario import Scenario, load_scenario
-from envs.build import mock, twin
+from envs.build import check_unbroken, mock, twin
 from envs.mission import Mission
 from envs.rewards import RewardConfig, StepTruth, reward
 from envs.scoring import ARRIVED, LOADED, TIPPED, tilt
@@ -76,6 +76,8 @@ class MissionEnv(gym.Env[Observation, Action]):
             )
         self.drawings: RobotSpec = load_spec(robot)
         self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
+        if body == "mock":
+            check_unbroken(self.scenario)
         self.link = link_pair(link)
         self.cameras = chosen_cameras(self.drawings, cameras)
         self.step_s = step_s

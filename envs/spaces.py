@@ -50,6 +50,7 @@ NEVER = 1e6
 RECEIPTS = ("none", "queued", "executing", "completed", "failed", "cancelled")
 FAULTS = (
     "none", "torque_limit", "tilt", "no_contact", "contact_not_broken", "unreachable", "bad_command", "brown_out", "swing_contact",
+    "ratchet_slip",
 )  # fmt: skip
 STATES = ("unknown", *EXECUTIVE_STATES)
 

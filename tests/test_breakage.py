@@ -127,7 +127,17 @@ def test_a_brown_out_loses_the_sequence_and_the_queue_and_answers_afterwards(twi
 
 
 def test_a_joint_that_the_robot_lacks_is_refused_by_name(twin):
-    with pytest.raises(ConfigError, match="joint 'thigh_pitch' is not on sdm_b; it has hip_yaw"):
+    fine = InjectedFault(kind="brown_out", t=9.0, value=1.0)
+    says = r"scenario 'calibration_yard': fault\[1\]\.joint = 'thigh_pitch' is not on sdm_b; it has hip_yaw, "
+    with pytest.raises(ConfigError, match=says):
+        twin(fine, InjectedFault(kind="stuck_joint", t=0.5, leg=2, joint="thigh_pitch"))
+    says = r"scenario 'calibration_yard': fault\[0\]\.camera = 'toolcam_9' is not on sdm_b; it has .*navcam_1, "
+    with pytest.raises(ConfigError, match=says):
+        twin(InjectedFault(kind="dead_camera", t=0.5, camera="toolcam_9"), fine)
+
+
+def test_a_refused_fault_leaves_no_physics_client_behind(twin):
+    first = twin().world.client
+    with pytest.raises(ConfigError):
         twin(InjectedFault(kind="stuck_joint", t=0.5, leg=2, joint="thigh_pitch"))
-    with pytest.raises(ConfigError, match="camera 'toolcam_9' is not on sdm_b"):
-        twin(InjectedFault(kind="dead_camera", t=0.5, camera="toolcam_9"))
+    assert twin().world.client == first + 1  # Bullet numbers its clients by the first that is free

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from athlete_twin.athlete import Athlete
+from athlete_twin.executive import CONTROL_PERIOD
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.messages import BodyMove, CommandSequence, Drive, JointMove, LegMove
 from athlete_twin.model.reach import leg_ik
@@ -119,3 +120,16 @@ def test_a_wheel_driven_into_a_rock_is_seen_and_driving_over_a_pebble_is_none(ro
         athlete = robot(with_block((axle + 0.5, axle + 0.9), (-0.3, 0.3), height))
         run(athlete, Drive(translation_in_hex=np.array([0.6, 0.0]), speed=0.2))
         assert {p for p in parts(athlete) if p.startswith("wheel")} == strikes, height
+
+
+def test_hulls_are_looked_at_in_every_control_tick_and_strikes_of_wheels_half_as_often(robot):
+    athlete = robot(with_block((4.0, 5.0), (4.0, 5.0), 0.3))
+    looked = {"hull_contacts": [], "hull_depths": []}
+    for name, times in looked.items():
+        look = getattr(athlete.body, name)
+        setattr(athlete.body, name, lambda look=look, times=times, **k: times.append(athlete.t) or look(**k))
+    run(athlete, BodyMove(translation_in_hex=np.array([0.05, 0.0, 0.0])))
+    assert len(looked["hull_contacts"]) > 24
+    np.testing.assert_allclose(np.diff(looked["hull_contacts"]), CONTROL_PERIOD, atol=1e-9)
+    # Telemetry counts as a reading as well, so that the looks at the wheels come a tick sooner or later.
+    assert np.diff(looked["hull_depths"]).mean() == pytest.approx(2 * CONTROL_PERIOD, rel=0.1)

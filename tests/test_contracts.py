@@ -71,6 +71,16 @@ def test_import_contracts_hold() -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_every_module_of_the_vehicle_is_in_the_contracts_that_concern_it() -> None:
+    here = {f"athlete_twin.{p.stem}" for p in (ROOT / "athlete_twin").glob("[!_]*") if p.is_dir() or p.suffix == ".py"}
+    contracts = {c["name"]: c for c in project()["tool"]["importlinter"]["contracts"]}
+    ground = contracts["The ground knows the drawings, never the truth"]["forbidden_modules"]
+    drawings = {f"athlete_twin.{name}" for name in ("errors", "geometry", "model", "messages")}
+    assert set(ground) == here - drawings | {"envs"}
+    bullet = contracts["Bullet lives in world and physics only"]["source_modules"]
+    assert set(bullet) == here - {"athlete_twin.world", "athlete_twin.physics"} | {"planner", "envs"}
+
+
 def test_planner_imports_of_the_vehicle_only_drawings_and_messages() -> None:
     # The contract above lists what is forbidden; this one lists what is allowed, so that a new module starts forbidden.
     allowed = {"errors", "geometry", "model", "messages"}

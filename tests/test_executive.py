@@ -131,6 +131,42 @@ def test_torque_beyond_the_allowed_fraction_stops_the_sequence():
     assert faults(run(e, torque=0.9)) == ["torque_limit"]
 
 
+def read(e: Executive, leg: int, joint: int, share: float) -> Sensed:
+    torques = np.zeros_like(e.setpoint)
+    torques[leg, joint] = share * e.kin.spec.torque_limits[joint]
+    return Sensed(joints=e.setpoint, torques=torques, attitude_rpy=np.zeros(3))
+
+
+def test_a_torque_that_no_gear_of_sdm_b_can_hold_is_told_once_and_stops_the_sequence():
+    e = executive()
+    e.accept(sequence(Wait(duration=5.0), max_torque_fraction=10.0))
+    assert faults(e.tick(read(e, 2, 4, 1.25))) == []
+    (fault, receipt) = e.tick(read(e, 2, 4, -1.4))
+    assert (fault.status, fault.sequence_id, fault.leg) == ("ratchet_slip", 1, 2)
+    assert "ankle_pitch of leg 3 reads -140 % of its limit" in fault.text and "wrong from now on" in fault.text
+    assert (receipt.status, e.state, e.busy) == ("failed", "fault", False)
+    e.accept(sequence(Wait(duration=0.1), number=2, max_torque_fraction=10.0))
+    assert faults([x for _ in range(60) for x in e.tick(read(e, 2, 4, -1.4))]) == []
+    assert e.state == "idle"
+    assert e.setpoint == pytest.approx(regular_stance(e.kin.spec))  # nothing is set right behind the ground's back
+
+
+def test_an_idle_robot_tells_of_a_slipped_gear_as_well_and_of_each_joint():
+    e = executive()
+    e.accept(sequence(Wait(duration=0.1)))
+    run(e)
+    torques = read(e, 0, 1, 1.5).torques + read(e, 5, 2, -2.0).torques
+    events = e.tick(Sensed(joints=e.setpoint, torques=torques, attitude_rpy=np.zeros(3)))
+    assert [(x.kind, x.status, x.sequence_id, x.leg) for x in events] == [
+        ("fault", "ratchet_slip", -1, 0), ("fault", "ratchet_slip", -1, 5),
+    ]  # fmt: skip
+
+
+def test_t12s_gears_do_not_ratchet():
+    e = executive("t12")
+    assert e.tick(read(e, 0, 1, 1.5)) == []
+
+
 def test_a_robot_beyond_its_torque_limit_may_still_be_led_out():
     e = executive()
     e.accept(sequence(Wait(duration=0.5), max_torque_fraction=0.5))
@@ -222,6 +258,19 @@ def test_pictures_are_asked_for_after_standing_still():
     e.accept(sequence(ImageRequest(cameras=("hazcam_1",))))
     events = run(e)
     assert [x.request.cameras for x in events if x.kind == "capture"] == [("hazcam_1",)]
+
+
+def test_a_camera_that_the_robot_lacks_is_a_bad_command_and_nothing_is_completed():
+    e = executive()
+    e.accept(sequence(Wait(duration=0.1), ImageRequest(cameras=("hazcam_1", "eye"))))
+    events = run(e)
+    (fault,) = [x for x in events if x.kind == "fault"]
+    assert (fault.status, fault.command_index) == ("bad_command", 1)
+    assert "camera 'eye' is not on sdm_b; it has navcam_1, " in fault.text
+    assert not [x for x in events if x.kind == "capture"]
+    outcomes = [(x.command_index, x.status) for x in events if x.kind == "receipt"]
+    assert outcomes == [(0, "completed"), (1, "failed")]
+    assert e.state == "fault"
 
 
 def test_a_full_queue_refuses_with_a_receipt():

@@ -154,6 +154,8 @@ def test_unknown_camera_is_a_fault():
     made = carried_out(robot, ImageRequest(cameras=("eye",)))
     (fault,) = [m for m in made if isinstance(m, Fault)]
     assert fault.code == "bad_command" and "eye" in fault.text
+    assert [m.status for m in made if isinstance(m, Receipt)] == ["queued", "failed"]
+    assert not [m for m in made if isinstance(m, StereoPair)]
 
 
 def test_pictures_show_one_ground_to_both_eyes():

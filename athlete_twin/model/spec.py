@@ -111,6 +111,8 @@ class RobotSpec:
     """of a joint that carries weight [rad/s]"""
     speed_unloaded: float
     """of a joint of a leg in the air [rad/s]"""
+    ratchet: float | None
+    """torque over its limit that no gear of a joint holds without skipping a tooth; None for gears that do not ratchet"""
     drive_speed: float
     """on its wheels at most [m/s]"""
     foot_radius: float
@@ -210,6 +212,7 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         top_in_hex=figure(body["top_in_hex"]),
         payload_limit=figure(body["payload_limit"]),
         speed_loaded=figure(motion["speed_loaded"]),
+        ratchet=figure(motion["ratchet"]) if "ratchet" in motion else None,
         drive_speed=figure(motion["drive_speed_kmh"]) / 3.6,
         speed_unloaded=figure(motion["speed_unloaded"]),
         foot_radius=figure(stance["foot_radius"]),

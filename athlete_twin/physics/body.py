@@ -211,9 +211,9 @@ class Body:
         """From now on the motor of one joint does not turn."""
         self._ready()[0].stuck[leg, joint] = True
 
-    def lose_pressure(self, leg: int, scale: float) -> None:
-        """From now on one tyre has only this part of its stiffness."""
-        self._ready()[1].lose_pressure(leg, scale)
+    def lose_pressure(self, leg: int, left: float) -> None:
+        """From now on one tyre has at most this part of the stiffness that it has when pumped up."""
+        self._ready()[1].lose_pressure(leg, left)
 
     def hull_depths(self, *, standing: bool = False) -> tuple[PerLeg, Wheels]:
         """How deep each wheel's unloaded hull is in the ground [m], and where; what it stands on left out if `standing`."""

@@ -104,8 +104,11 @@ class Tyres:
         self._k2 = truth.tyre_k2 * trial.tyre_scale
         self._kt = truth.tyre_lateral_stiffness * trial.tyre_scale
         share = sprung_mass / LEGS
+        self._left = np.ones(LEGS)
+        self._full = (self._k1.copy(), self._k2.copy(), self._kt.copy())
         self._c = 2.0 * truth.tyre_damping_ratio * np.sqrt(1.5 * self._k1 * share)
         self._ct = 2.0 * truth.tyre_damping_ratio * np.sqrt(self._kt * share)
+        self._full_damping = (self._c.copy(), self._ct.copy())
         self._friction = np.array([footing.friction, footing.rock_friction])
         self._rock = np.zeros((1, 1), dtype=np.bool_) if footing.is_rock is None else np.ascontiguousarray(footing.is_rock)
         self._heights = np.ascontiguousarray(ground.heights, dtype=np.float64)
@@ -122,10 +125,17 @@ class Tyres:
         """How deep the soil under each wheel is pressed down [m]."""
         return self._ruts.copy()
 
-    def lose_pressure(self, leg: int, scale: float) -> None:
-        """From now on one tyre has only this part of its stiffness."""
-        for k in (self._k1, self._k2, self._kt):
-            k[leg] *= scale
+    def lose_pressure(self, leg: int, left: float) -> None:
+        """From now on one tyre has at most this part of the stiffness that it has when pumped up; air comes back never.
+
+        Assumed: the air carries all, the rubber nothing, so that stiffness and contact pressure both go with the
+        inflation; the damping ratio stays what it was, so that the dampers go with its root.
+        """
+        self._left[leg] = min(self._left[leg], left)
+        for k, full in zip((self._k1, self._k2, self._kt), self._full, strict=True):
+            k[leg] = self._left[leg] * full[leg]
+        for c, full in zip((self._c, self._ct), self._full_damping, strict=True):
+            c[leg] = np.sqrt(self._left[leg]) * full[leg]
         self._tabulate(leg)
 
     def _tabulate(self, leg: int) -> None:
@@ -134,7 +144,7 @@ class Tyres:
             return
         deflection = np.linspace(0.0, SINKAGE_STEP * SINKAGE_POINTS, 4 * SINKAGE_POINTS)
         load = self._k1[leg] * deflection + self._k2[leg] * deflection**2
-        sunk = self._soil.sinkage(load / (FIRST_PATCH + load / self._pressure))
+        sunk = self._soil.sinkage(load / (FIRST_PATCH + load / (self._left[leg] * self._pressure)))
         total = SINKAGE_STEP * np.arange(SINKAGE_POINTS)
         self._sinkage[leg] = np.interp(total, deflection + sunk, sunk)
 
@@ -157,7 +167,7 @@ class Tyres:
 
     def state(self) -> dict[str, np.ndarray]:
         """Copies of all that changes from tick to tick, for `set_state`."""
-        names = ("_bristles", "_ruts", "_k1", "_k2", "_kt", "_sinkage")
+        names = ("_bristles", "_ruts", "_left", "_k1", "_k2", "_kt", "_c", "_ct", "_sinkage")
         return {name: getattr(self, name).copy() for name in names}
 
     def set_state(self, state: dict[str, np.ndarray]) -> None:

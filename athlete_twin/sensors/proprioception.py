@@ -1,7 +1,8 @@
 """What the robot feels of itself: encoders on both sides of each joint's spring, inertial attitude, rates, acceleration.
 
-Torque is not measured but read from the spring: motor angle less joint angle, times the stiffness, which the
-robot was calibrated for. So an encoder's zero error is an error of angle and, where its two encoders disagree, of torque.
+Torque is not measured but read from the spring: motor angle less joint angle, times the stiffness, which the robot was
+calibrated for: exactly, since no source says how well it was. So an encoder's zero error is an error of angle and, where
+its two encoders disagree, of torque.
 """
 
 from __future__ import annotations
@@ -24,8 +25,6 @@ class ProprioceptionNoise:
 
     encoder_bits: int = 16
     """steps a turn are two to this power"""
-    torque_fraction: float = 0.0
-    """of the torque itself: calibration of the spring, beside what the encoders do"""
     attitude: float = float(np.deg2rad(0.05))
     """roll and pitch, a reading [rad]"""
     yaw_drift: float = float(np.deg2rad(0.5))
@@ -38,7 +37,7 @@ class ProprioceptionNoise:
     def __post_init__(self) -> None:
         if not 8 <= self.encoder_bits <= 32:
             raise ConfigError(f"encoder_bits is {self.encoder_bits}, must be 8 to 32")
-        for name in ("torque_fraction", "attitude", "yaw_drift", "rate", "acceleration"):
+        for name in ("attitude", "yaw_drift", "rate", "acceleration"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise ConfigError(f"noise {name} is {value}, must be 0 or more")
@@ -116,8 +115,8 @@ class Proprioception:
         # The relative encoder is zeroed against the absolute one at rest, so both carry the same error.
         measured_motors = self._encode(motors + self._zero)
         n = self._noise
-        gain = 1.0 + n.torque_fraction * rng.standard_normal(joints.shape)
-        torques = (measured_motors - measured_joints) * stiffness * gain + self.torque_offset
+        torques = (measured_motors - measured_joints) * stiffness + self.torque_offset
+        rng.standard_normal(joints.shape)  # of no use, but what is drawn next stays what recorded trials had
         roll, pitch, yaw = world_from_hex.rpy()
         self._drift(t)
         tilt = n.attitude * rng.standard_normal(2)

@@ -10,7 +10,8 @@
 - `encoder_bias`: leg, joint, value: the joint's absolute encoder reads so much more from then on [deg]; its torque, read
   from the difference of two encoders, is off as well.
 - `torque_drift`: leg, joint, value: the torque reading grows by so much a minute [N m/min].
-- `soft_tyre`: leg, value: part of the tyre's stiffness that is left, 0.05 to 1.
+- `soft_tyre`: leg, value: part that is left of the stiffness of this tyre pumped up, 0.05 to 1; its contact pressure goes
+  with it. A tyre only loses: of two such faults the smaller value counts.
 - `dead_camera`: camera: its pictures are black from then on.
 - `brown_out`: value: the executive loses its sequence and its queue and answers nothing for so long [s]; brakes hold.
 """

@@ -95,7 +95,7 @@ class Scenario:
     placed_rocks: tuple[Rock, ...]
     """rocks that lie there whatever the seed"""
     faults: tuple[InjectedFault, ...]
-    """what breaks and when, in the order of time"""
+    """what breaks and when, in the order of the file's [[fault]] tables"""
     sun_elevation: float
     """above the horizon [rad]"""
     sun_azimuth: float
@@ -296,7 +296,7 @@ def _injected(path: Path, content: dict[str, Any]) -> tuple[InjectedFault, ...]:
                 kind=kind, t=numbers["t"], leg=int(numbers.get("leg", 0)) - 1, value=numbers.get("value", 0.0), **texts
             )
         )
-    return tuple(sorted(out, key=lambda f: f.t))
+    return tuple(out)
 
 
 def _numbers(path: Path, prefix: str, content: dict[str, Any], keys: dict[str, Number]) -> dict[str, float]:

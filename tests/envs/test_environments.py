@@ -1,6 +1,7 @@
 import subprocess
 import sys
 import warnings
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
@@ -10,6 +11,10 @@ from gymnasium.utils.env_checker import check_env
 import envs  # noqa: F401
 from athlete_twin.errors import ConfigError
 from athlete_twin.messages import CommandSequence, ImageRequest, StereoPair, Wait
+from athlete_twin.model.spec import load_spec
+from athlete_twin.world.injected import InjectedFault
+from athlete_twin.world.scenario import load_scenario
+from envs import build
 from envs.operator_env import OperatorEnv
 from envs.spaces import KINDS, NEVER
 from planner.decisions import DECISIONS, Decision
@@ -159,6 +164,18 @@ def test_view_from_above_shows_the_robot():
 def test_wrong_arguments_are_refused(kwargs, said):
     with pytest.raises(ConfigError, match=said):
         gym.make("AthleteTwin/SdmB-Mock-v0", **kwargs)
+
+
+def test_a_mock_refuses_faults_that_it_cannot_show():
+    faults = (InjectedFault(kind="soft_tyre", t=9.0, leg=0, value=0.5), InjectedFault(kind="brown_out", t=5.0, value=1.0))
+    broken = replace(load_scenario("calibration_yard"), faults=faults)
+    says = r"scenario 'calibration_yard' injects brown_out, soft_tyre: .*mock.* id without '-Mock', or body='twin'"
+    with pytest.raises(ConfigError, match=says):
+        gym.make("AthleteTwin/SdmB-Mock-v0", scenario=broken)
+    with pytest.raises(ConfigError, match=says):
+        OperatorEnv("sdm_b", body="mock", scenario=broken)
+    with pytest.raises(ConfigError, match=says):
+        build.mock(load_spec("sdm_b"), broken)
 
 
 def operator_env(scripted, **kwargs):

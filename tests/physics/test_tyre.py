@@ -141,6 +141,59 @@ def test_a_flat_tyre_carries_its_part():
     assert np.delete(after, 2) == pytest.approx(np.delete(before, 2))
 
 
+def test_of_two_losses_of_one_tyre_the_greater_counts():
+    once, twice, again = tyres(ground()), tyres(ground()), tyres(ground())
+    once.lose_pressure(2, 0.4)
+    for part in (0.6, 0.4):
+        twice.lose_pressure(2, part)
+    for part in (0.4, 0.6):  # a tyre only loses
+        again.lose_pressure(2, part)
+    load = pressed(once, 0.06).loads[2]
+    assert pressed(twice, 0.06).loads[2] == load
+    assert pressed(again, 0.06).loads[2] == load
+
+
+def test_a_soft_tyre_keeps_its_damping_ratio():
+    """c = 2 zeta sqrt(k m): a quarter of the stiffness damps half as much at the same ratio."""
+    sinking = np.tile([0.0, 0.0, -0.1], (6, 1))
+    axles = np.tile([0.0, 0.0, SPEC.wheel.radius - 0.06], (6, 1))
+
+    def damped(model: Tyres) -> float:
+        return float(model.step(axles, AXES, sinking, STILL, TICK).loads[2] - pressed(model, 0.06).loads[2])
+
+    soft = tyres(ground())
+    soft.lose_pressure(2, 0.25)
+    assert damped(soft) == pytest.approx(0.5 * damped(tyres(ground())))
+
+
+def test_a_soft_tyre_spreads_its_load_and_sinks_less():
+    """Stiffness and contact pressure both go with the air: half of it, half the pressure on the soil at high load."""
+    soil = MATERIALS["dune_sand"]
+    firm, soft = on_soil("dune_sand"), on_soil("dune_sand")
+    soft.lose_pressure(0, 0.5)
+    load = pressed(soft, 0.12).loads[0]
+    sunk = soft.ruts[0]
+    assert soil.sinkage_modulus * sunk**soil.sinkage_exponent == pytest.approx(
+        load / (5e-3 + load / (0.5 * SPEC.wheel.pressure)), rel=0.03
+    )
+    deeper = next(d for d in np.arange(0.02, 0.12, 0.0005) if pressed(firm, d).loads[0] >= load)
+    assert pressed(firm, deeper).loads[0] == pytest.approx(load, rel=0.05)
+    assert sunk < 0.8 * firm.ruts[0]
+
+
+def test_lost_pressure_is_part_of_what_is_saved():
+    model = tyres(ground())
+    before, fresh = model.state(), pressed(model, 0.06).loads
+    model.lose_pressure(2, 0.25)
+    after = model.state()
+    model.set_state(before)
+    assert np.array_equal(pressed(model, 0.06).loads, fresh)
+    model.lose_pressure(2, 0.5)
+    assert pressed(model, 0.06).loads[2] == pytest.approx(0.5 * fresh[2])
+    model.set_state(after)
+    assert pressed(model, 0.06).loads[2] == pytest.approx(0.25 * fresh[2])
+
+
 def test_a_rolling_wheel_creeps_in_proportion_to_its_pull():
     """A bristle leaves the patch within its length, so the pull is k_t x creep x length over the rolling speed."""
     model = tyres(ground())

@@ -1,15 +1,17 @@
 """The ground agent between its proposals: what it does when an operator or the link does the unexpected."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from athlete_twin.assets import named_toml, read_toml
-from athlete_twin.messages import CommandSequence, Receipt
+from athlete_twin.messages import CommandSequence, Fault, Receipt
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
 from planner.agent import LOST_AFTER, GroundAgent
 from planner.config import planner_config
-from planner.decisions import Decision, Proposal, Waiting
+from planner.decisions import Decision, NoStep, Proposal, Waiting
 
 APPROVE = Decision(kind="approve")
 
@@ -35,6 +37,28 @@ def receipt(sequence: CommandSequence, status: str) -> Receipt:
     return Receipt(
         seq=0, robot_id=sequence.robot_id, t=2.0, sequence_id=sequence.sequence_id, command_index=-1, status=status
     )
+
+
+@pytest.mark.parametrize("code", ["ratchet_slip", "gremlins"])
+def test_after_a_fault_without_a_remedy_of_its_own_the_ground_goes_on_or_says_why_not(agent, code):
+    """Torques of a leg whose gear slipped are wrong by a tooth: what stands is misjudged, and nothing may break by it."""
+    first = proposal(agent, 1.0)
+    for sent_at in (1.0, 11.0):
+        sent = agent.decide(APPROVE, sent_at)
+        number, t = sent.sequence_id, sent_at + 5.0
+        fault = Fault(
+            seq=0, robot_id=sent.robot_id, t=t, code=code, text="gear", sequence_id=number, command_index=0, leg=first.leg
+        )
+        torques = agent._telemetry.torques.copy()
+        torques[first.leg, 1] += 700.0
+        told = replace(agent._telemetry, seq=9, t=t, torques=torques, executive_state="fault", sequence_id=number)
+        for message in (fault, receipt(sent, "failed"), told):
+            agent.observe(message, t)
+        action = agent.next(t)
+        assert isinstance(action, Proposal | NoStep), action
+        if isinstance(action, NoStep):
+            assert action.reason
+            return
 
 
 def test_an_edit_that_does_not_work_comes_back_as_the_gaits_own_step_with_the_reason(agent):

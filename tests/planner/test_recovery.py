@@ -62,6 +62,14 @@ def test_a_wheel_without_ground_goes_down_twice_and_then_elsewhere(plan):
     assert lowers == [True, True, False]
 
 
+def test_after_a_gear_has_slipped_or_a_fault_nobody_has_heard_of_the_wheel_steps_elsewhere(plan):
+    for code in ("ratchet_slip", "gremlins"):
+        recovery = Recovery()
+        recovery.fault(fault(code), plan, PATH[0])
+        np.testing.assert_array_equal(recovery.refused_xy, [[2.0, 1.0]])
+        assert recovery.retreat is None and not recovery.exhausted
+
+
 def test_the_ground_gives_up_at_the_sixth_fault_and_starts_afresh_after_a_step(plan):
     recovery = Recovery()
     for _ in range(6):

@@ -1,3 +1,5 @@
+import zlib
+
 import numpy as np
 import pytest
 
@@ -31,6 +33,15 @@ def test_torque_is_read_from_the_spring_within_one_encoder_step():
     torque = np.random.default_rng(2).uniform(-800, 800, (6, 6))
     read = measured(sensors(), motors=JOINTS + torque / STIFFNESS).torques
     assert (np.abs(read - torque) <= STEP * STIFFNESS + 1e-9).all()
+
+
+def test_the_streams_of_noise_are_those_of_recorded_trials():
+    """After the numbers that a reading once drew for its torques come attitude, rates and acceleration."""
+    read = measured(sensors(), index=7)
+    rng = np.random.default_rng([3, zlib.crc32(b"proprioception"), 7])
+    rng.standard_normal((6, 6))
+    assert read.attitude_rpy[:2] == pytest.approx([0.02, -0.03] + np.deg2rad(0.05) * rng.standard_normal(2))
+    assert read.rates == pytest.approx(5e-4 * rng.standard_normal(3))
 
 
 def test_attitude_noise_has_its_level_and_rates_theirs():

@@ -149,7 +149,7 @@ def test_missing_damaged_and_8_bit_maps_are_refused(tmp_path):
             load_scenario(path)
 
 
-def test_injected_faults_come_in_the_order_of_time_with_legs_from_zero(tmp_path):
+def test_injected_faults_come_in_the_order_of_the_file_with_legs_from_zero(tmp_path):
     tables = """
 [[fault]]
 kind = "brown_out"
@@ -164,6 +164,6 @@ joint = "knee_pitch"
 value = -0.2
 """
     first, second = load_scenario(write(tmp_path, GOOD + tables)).faults
-    assert (first.kind, first.t, first.leg, first.joint, first.value) == ("encoder_bias", 20.0, 2, "knee_pitch", -0.2)
-    assert (second.kind, second.leg, second.value) == ("brown_out", -1, 12.5)
+    assert (first.kind, first.leg, first.value) == ("brown_out", -1, 12.5)
+    assert (second.kind, second.t, second.leg, second.joint, second.value) == ("encoder_bias", 20.0, 2, "knee_pitch", -0.2)
     assert load_scenario(write(tmp_path, GOOD)).faults == ()

@@ -1,0 +1,132 @@
+"""The chassis shift after a step: towards the goal, and never beyond reach, the stability rule or what stands in its way."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from athlete_twin.geometry.polygon import conservative_distance, signed_distance
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.reach import all_legs_ik
+from planner.gait.shift import plan_shift
+from planner.gait.skeleton import shift_per_step
+from planner.gait.step_plan import BodyShift
+
+AHEAD = np.array([1.0, 0.0])
+DOWN = np.array([0.0, 0.0, -1.0])
+MILLIMETRE = 1e-3
+
+
+def shift(robot, grid, *, belief=None, heading=AHEAD, remaining=10.0, behind=0.0, leg=0, **config) -> BodyShift:
+    belief, step = belief or robot.belief, robot.config.step
+    settings = {"stability": step.stability, "limits": step.shift, "collision": step.collision} | config
+    return plan_shift(
+        robot.kin, robot.springs, belief, leg=leg, landed_joints=belief.joints, contacts_in_world=belief.contacts_in_world,
+        heading=np.asarray(heading), remaining=remaining, behind=behind, filled=grid, gait=step.gait, payload_kg=0.0, **settings,
+    )  # fmt: skip
+
+
+def end_of(robot, made: BodyShift, belief=None) -> SE3:
+    pose = (belief or robot.belief).world_from_hex
+    return pose.compose(SE3.from_rotvec(made.rotvec_in_hex, made.translation_in_hex))
+
+
+def margins_at(robot, pose: SE3) -> tuple[float, float]:
+    """CPS margin, and the least support margin with one leg lifted [m], the wheels where they are."""
+    belief = robot.belief
+    wheels = pose.inverse().apply(belief.world_from_hex.apply(robot.kin.wheels_in_hex(belief.joints)))
+    joints, ok = all_legs_ik(robot.spec, wheels, last_link_in_hex=pose.inverse().rotate(DOWN))
+    assert ok.all()
+    com, contacts = pose.apply(robot.kin.com_in_hex(joints))[:2], belief.contacts_in_world[:, :2]
+    return conservative_distance(com, contacts), min(signed_distance(com, np.delete(contacts, k, axis=0)) for k in range(6))
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 50.0, -135.0])
+def test_on_open_ground_the_chassis_goes_its_share_of_a_stride_and_stays_inside_the_rule(robot, field, heading_deg):
+    heading = np.array([np.cos(np.deg2rad(heading_deg)), np.sin(np.deg2rad(heading_deg))])
+    made = shift(robot, field(), heading=heading)
+    assert (made.fraction, made.cut_by) == (1.0, "")
+    moved = end_of(robot, made).translation - robot.belief.world_from_hex.translation
+    assert moved[:2] == pytest.approx(robot.spec.stride / 6 * heading, abs=MILLIMETRE)
+    assert min(margins_at(robot, end_of(robot, made))) >= robot.config.step.stability.min_margin
+
+
+def test_the_shift_ends_at_the_goal_and_makes_up_for_lost_ground(robot, field):
+    assert np.linalg.norm(shift(robot, field(), remaining=0.03).translation_in_hex[:2]) == pytest.approx(0.03, abs=MILLIMETRE)
+    wanted = shift_per_step(robot.spec, robot.config.step.gait, remaining=10.0, behind=0.04)
+    assert np.linalg.norm(shift(robot, field(), behind=0.04).translation_in_hex[:2]) == pytest.approx(wanted, abs=MILLIMETRE)
+
+
+def test_a_shift_is_shortened_until_the_rule_holds(robot, field):
+    """The rule is set to what holds half-way between half and three quarters of the shift."""
+    whole = end_of(robot, shift(robot, field())).translation - robot.belief.world_from_hex.translation
+    between = SE3(robot.belief.world_from_hex.rotation, robot.belief.world_from_hex.translation + 0.625 * whole)
+    strict = replace(robot.config.step.stability, min_margin=margins_at(robot, between)[0])
+    made = shift(robot, field(), stability=strict)
+    assert (made.fraction, made.cut_by) == (0.5, "CPS margin")
+    assert margins_at(robot, end_of(robot, made))[0] >= strict.min_margin
+
+
+def test_where_the_stance_itself_breaks_the_rule_nothing_moves(robot, field):
+    made = shift(robot, field(), stability=replace(robot.config.step.stability, min_margin=5.0))
+    assert (made.fraction, made.cut_by) == (0.0, "CPS margin")
+    assert not made.translation_in_hex.any() and not made.rotvec_in_hex.any() and not made.wheel_offsets_in_hex.any()
+
+
+def test_a_shift_out_of_reach_names_the_leg(robot, field):
+    """A heading of twelve times its length stands for a giant's stride."""
+    made = shift(robot, field(), heading=12.0 * AHEAD)
+    assert made.cut_by.startswith("reach of leg ") and made.fraction < 1.0
+
+
+def test_a_rock_in_front_of_the_chassis_cuts_the_shift(robot, field):
+    """A pillar beside the foremost part of the chassis: what would touch it is named."""
+    if robot.spec.decks:
+        deck = robot.spec.decks[0].part
+        front = deck.centre[:2] + [0.5 * deck.size[0], 0.0]
+    else:
+        front = 1.19 * np.array([np.cos(np.pi / 6), np.sin(np.pi / 6)])  # a face of the ring between legs 1 and 2
+    outward = front / np.linalg.norm(front) if not robot.spec.decks else AHEAD
+    made = shift(robot, field((*(front + (0.29 + 0.06) * outward), 0.30, 6.0)))
+    assert made.fraction < 1.0
+    assert made.cut_by and "margin" not in made.cut_by and "reach" not in made.cut_by
+
+
+def test_a_mirrored_heading_has_the_mirrored_shift(robot, field):
+    left, right = (shift(robot, field(), heading=np.array([0.8, side])) for side in (0.6, -0.6))
+    assert right.translation_in_hex == pytest.approx([1.0, -1.0, 1.0] * left.translation_in_hex, abs=MILLIMETRE)
+    assert right.fraction == left.fraction
+
+
+@pytest.mark.parametrize(("low", "mended"), [(0.03, 0.03), (0.10, 0.06)])
+def test_height_is_mended_by_what_the_motors_say_within_its_limit(robot, field, low, mended):
+    wheels = robot.kin.wheels_in_hex(robot.belief.motors) + [0.0, 0.0, low]
+    motors, ok = all_legs_ik(robot.spec, wheels)
+    assert ok.all() and robot.config.step.shift.max_height == 0.06
+    made = shift(robot, field(), belief=replace(robot.belief, motors=motors))
+    assert made.translation_in_hex[2] == pytest.approx(mended, abs=MILLIMETRE)
+
+
+def test_attitude_is_mended_within_its_limits(robot, field):
+    pose, limits = robot.belief.world_from_hex, robot.config.step.shift
+    tilted = SE3(SE3.from_rpy(0.02, -0.01, 0.02).rotation, pose.translation)
+    belief = replace(robot.belief, world_from_hex=tilted)
+    end = end_of(robot, shift(robot, field(), belief=belief), belief)
+    assert np.linalg.norm(end.rpy()[:2]) <= np.deg2rad(limits.level_deck_deg) + MILLIMETRE
+    assert end.rpy()[2] == pytest.approx(0.0, abs=MILLIMETRE)
+    far = replace(robot.belief, world_from_hex=SE3(SE3.from_rpy(0.06, 0.0, 0.06).rotation, pose.translation))
+    made = shift(robot, field(), belief=far)
+    turned = end_of(robot, made, far).rpy()
+    assert turned[0] == pytest.approx(0.06 - limits.max_tilt, abs=2e-3)
+    assert turned[2] == pytest.approx(0.06 - limits.max_yaw, abs=2e-3)
+
+
+def test_feet_that_fight_are_relaxed_except_the_one_that_has_just_stepped(robot, field):
+    """[SunSpiral2012] s5.1.1: a wheel that is pushed by F too much goes F / k that way, by the gain and not too far."""
+    interaction = np.zeros((6, 3))
+    interaction[:, 0] = [400.0, 100.0, -100.0, 1e6, 0.0, 0.0]
+    made = shift(robot, field(), belief=replace(robot.belief, interaction=interaction), leg=0)
+    limits, k = robot.config.step.shift, robot.springs.stiffness_z * robot.springs.lateral_ratio
+    expected = [0.0, limits.relax_gain * 100.0 / k[1], -limits.relax_gain * 100.0 / k[2], limits.max_relax, 0.0, 0.0]
+    assert made.wheel_offsets_in_hex[:, 0] == pytest.approx(expected)
+    assert not made.wheel_offsets_in_hex[:, 1:].any()
