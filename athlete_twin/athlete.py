@@ -145,7 +145,7 @@ class Athlete:
         self._lost: list[Event] = []
         self._eyes: Any = None
         self.t = 0.0
-        self._ticks = 0
+        self._readings, self._controls = 0, 0
         self._rest = False
         self._counts: dict[str, int] = {}
         self._captures = 0
@@ -270,7 +270,7 @@ class Athlete:
         _, angular = body.velocity()
         world_from_hex = body.world_from_hex()
         to_hex = world_from_hex.rotation.T
-        self._ticks += 1
+        self._readings += 1
         self._senses.torque_offset = self._breakage.torque_offset(self.t)
         return self._senses.measure(
             body.joints,
@@ -280,7 +280,7 @@ class Athlete:
             rates_in_hex=to_hex @ angular,
             acceleration_in_hex=to_hex @ np.array([0.0, 0.0, GRAVITY]),
             t=self.t,
-            index=self._ticks,
+            index=self._readings,
         )
 
     def _control_tick(self) -> list[Message]:
@@ -299,7 +299,8 @@ class Athlete:
         self.t += CONTROL_PERIOD
         self.peak_torque_fraction = max(self.peak_torque_fraction, float(self._torque_fraction.max()))
         self._rest = not self.executive.busy and settled(self.body)
-        self._look_for_collisions(strikes=self._ticks % CONTROLS_PER_CHECK == 0)
+        self._controls += 1
+        self._look_for_collisions(strikes=self._controls % CONTROLS_PER_CHECK == 0)
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
         made = self._tell(events)
