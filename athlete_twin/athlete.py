@@ -15,7 +15,7 @@ import numpy as np
 from athlete_twin.breakage import Breakage
 from athlete_twin.errors import PhysicsError
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
-from athlete_twin.geometry.arrays import Image, Joints, PerLeg, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, PerLeg, RawImage, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, StereoPair, Stop, Telemetry
 from athlete_twin.model.appearance import visual_parts
@@ -348,20 +348,24 @@ class Athlete:
             self.body.link_poses(),
             world_from_hex=self.body.world_from_hex(),
             index=self._captures,
+            bits=event.request.bits,
+            brackets=event.request.brackets,
         )
         self._captures += 1
         if self.on_view is not None:
-            for name, shot in shots.items():
-                self.on_view(shot.truth(camera=name, t=self.t, wheels_in_world=self.body.axles.copy()))
+            for name, bracket in shots.items():
+                self.on_view(bracket[0].truth(camera=name, t=self.t, wheels_in_world=self.body.axles.copy()))
         return [
             StereoPair(
                 seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=event.request.binning,
                 left=self._seen(name, shot.left), right=self._seen(name, shot.right), exposure=shot.exposure, state=state,
+                bits=event.request.bits, bracket=number,
             )
-            for name, shot in shots.items()
-        ]
+            for name, bracket in shots.items()
+            for number, shot in enumerate(bracket)
+        ]  # fmt: skip
 
-    def _seen(self, camera: str, image: Image) -> Image:
+    def _seen(self, camera: str, image: RawImage) -> RawImage:
         return np.zeros_like(image) if camera in self._breakage.dead_cameras else image
 
     def _telemetry(self) -> Telemetry:

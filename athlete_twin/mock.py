@@ -15,7 +15,7 @@ import numpy as np
 
 from athlete_twin.driving import rolling_velocities
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
-from athlete_twin.geometry.arrays import Image, Joints, PerLeg, PerLegFlag, Vec2, Vec3, Wheels
+from athlete_twin.geometry.arrays import Image, Joints, PerLeg, PerLegFlag, RawImage, Vec2, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Message, Receipt, StereoPair, Stop, Telemetry
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -224,25 +224,20 @@ class MockAthlete:
         state = self._telemetry()
         out: list[Message] = []
         for name in request.cameras:
-            camera = self.spec.camera(name)
+            camera = self.spec.camera(name).riding(self.kin.link_poses(state.joints))
             eye = camera.eye.binned(request.binning)
             views = [
                 ground_picture(eye.rays(), self._world_from_hex.compose(hex_from_eye))
                 for hex_from_eye in (camera.hex_from_camera, camera.hex_from_right())
             ]
-            out.append(
-                StereoPair(
-                    seq=self._next("stereo_pair"),
-                    robot_id=self.robot_id,
-                    t=self.t,
-                    camera=name,
-                    binning=request.binning,
-                    left=views[0],
-                    right=views[1],
-                    exposure=EXPOSURE,
-                    state=state,
-                )
-            )
+            for number, factor in enumerate(request.brackets):
+                left, right = (exposed(view, factor, bits=request.bits) for view in views)
+                out.append(
+                    StereoPair(
+                        seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=request.binning,
+                        left=left, right=right, exposure=factor * EXPOSURE, state=state, bits=request.bits, bracket=number,
+                    )
+                )  # fmt: skip
         return out
 
     def _telemetry(self) -> Telemetry:
@@ -339,6 +334,13 @@ def ground_picture(rays: np.ndarray, world_from_eye: SE3) -> Image:
     xy = np.where(on_ground[..., None], xy, 0.0)
     grey = 110.0 + 50.0 * _texture(xy / 0.05) + 40.0 * _texture(xy / 0.31 + 17.0)
     return np.where(on_ground, np.clip(grey, 0.0, 255.0), 225.0).astype(np.uint8)
+
+
+def exposed(image: Image, factor: float, *, bits: int) -> RawImage:
+    """A picture at a multiple of its exposure, cut off at white; 8 bits in uint8, 12 in uint16."""
+    white = 2.0**bits - 1.0
+    grey = np.clip(np.rint(image * (factor * white / 255.0)), 0.0, white)
+    return np.asarray(grey.astype(np.uint8 if bits == 8 else np.uint16))
 
 
 def _texture(xy: np.ndarray) -> np.ndarray:

@@ -100,6 +100,8 @@ class ViewTruth:
     camera: str
     label: Image
     """0 sky, 1 ground, 2 rock, 3 robot, shape (h, w)"""
+    leg: np.ndarray
+    """index 0 to 5 of the leg that a pixel shows, -1 elsewhere, shape (h, w), int8"""
     depth: DepthMap
     """along the boresight, NaN for sky [m]"""
     points_in_world: np.ndarray

@@ -149,12 +149,13 @@ class DownlinkView:
             self._receipt = message
         elif isinstance(message, Fault):
             self._fault = message
-        elif isinstance(message, StereoPair) and message.camera in self.cameras:
+        elif isinstance(message, StereoPair) and message.camera in self.cameras and message.bracket == 0:
             self._pairs[message.camera] = message
             k = self.cameras.index(message.camera)
             size = self._images.shape[:1:-1]
             for side, image in enumerate((message.left, message.right)):
-                self._images[side, k] = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+                grey = (image >> (message.bits - 8)).astype(np.uint8)
+                self._images[side, k] = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
 
     def observation(self, t: float) -> Observation:
         """What has come down by mission time `t` [s]. Torques are over their limits, the rest in SI units."""

@@ -191,3 +191,14 @@ def test_a_drive_moves_the_mock_by_its_length_and_nothing_else(name):
     np.testing.assert_allclose(after.translation - before.translation, [0.9, -0.4, 0.0], atol=0.02)
     np.testing.assert_allclose(after.rotation, before.rotation, atol=1e-3)
     np.testing.assert_allclose(robot.executive.setpoint, stance, atol=1e-9)
+
+
+def test_a_bracket_of_the_mock_is_a_pair_for_each_exposure():
+    robot = MockAthlete(load_spec("sdm_b"))
+    request = ImageRequest(cameras=("hazcam_1", "toolcam_1"), binning=4, bits=12, brackets=(1.0, 0.25))
+    pairs = [m for m in carried_out(robot, request) if isinstance(m, StereoPair)]
+    assert [(p.camera, p.bracket) for p in pairs] == [
+        ("hazcam_1", 0), ("hazcam_1", 1), ("toolcam_1", 0), ("toolcam_1", 1),
+    ]  # fmt: skip
+    assert pairs[0].left.dtype == np.uint16
+    assert pairs[1].left == pytest.approx(0.25 * pairs[0].left.astype(float), abs=0.6)

@@ -30,14 +30,22 @@ def body_looks(spec: RobotSpec) -> dict[str, Look]:
     """Meshes by kind of link: `hex`, and T12's decks and docks."""
     part = spec.body_parts[0]
     look = _ring(spec, part) if part.shape == "hexagon_ring" else _pallet(part)
-    look["lens"] = join(*(_lenses(c) for c in spec.cameras))
-    look["actuator"] = join(*(_housing(c) for c in spec.cameras))
-    look["aluminium"] = join(look["aluminium"], *(m for c in spec.cameras for m in _stalk(spec, c)))
+    cameras = [c for c in spec.cameras if c.on_chassis]
+    look["lens"] = join(*(_lenses(c) for c in cameras))
+    look["actuator"] = join(*(_housing(c) for c in cameras))
+    look["aluminium"] = join(look["aluminium"], *(m for c in cameras for m in _stalk(spec, c)))
     out = {"hex": look}
     for deck in spec.decks:
         out[deck.name] = _deck(spec, deck)
         out[deck.name.replace("deck", "dock")] = {"aluminium": cylinder(0.05, -0.55, 0.55, axis="x")}
     return out
+
+
+def leg_camera_looks(spec: RobotSpec) -> dict[str, Look]:
+    """Meshes of the cameras that ride on legs, by the URDF name of their link."""
+    return {
+        c.link: {"lens": _lenses(c), "actuator": join(_housing(c), _arm(c))} for c in spec.cameras if not c.on_chassis
+    }
 
 
 def _ring(spec: RobotSpec, part: BodyPart) -> Look:
@@ -172,15 +180,21 @@ def _inset(outline: Points2, depth: float) -> Points2:
 
 
 def _housing(camera: StereoCamera) -> Mesh:
-    """A box behind both eyes, in hex."""
+    """A box behind both eyes, in the frame of the link that carries them."""
     depth, height = 0.050, 0.056
     body = box((camera.baseline + 0.07, height, depth), (0.5 * camera.baseline, 0.0, -BEHIND - 0.012 - 0.5 * depth))
-    return body.moved(camera.hex_from_camera.rotation, camera.hex_from_camera.translation)
+    return body.moved(camera.link_from_camera.rotation, camera.link_from_camera.translation)
 
 
 def _lenses(camera: StereoCamera) -> Mesh:
     eyes = [cylinder(0.020, -BEHIND - 0.014, -BEHIND, axis="z", segments=10).shifted(x) for x in (0.0, camera.baseline)]
-    return join(*eyes).moved(camera.hex_from_camera.rotation, camera.hex_from_camera.translation)
+    return join(*eyes).moved(camera.link_from_camera.rotation, camera.link_from_camera.translation)
+
+
+def _arm(camera: StereoCamera) -> Mesh:
+    """From a housing beside a leg's last link to the link's axis."""
+    back = camera.link_from_camera.apply(np.array([0.5 * camera.baseline, 0.0, -BEHIND - 0.040]))
+    return beam(back, np.array([back[0], 0.0, 0.0]), 0.04, 0.04, up=(1.0, 0.0, 0.0))
 
 
 def _stalk(spec: RobotSpec, camera: StereoCamera) -> list[Mesh]:

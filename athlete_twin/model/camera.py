@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from athlete_twin.errors import CameraError
+from athlete_twin.geometry.arrays import Vec3
 from athlete_twin.geometry.se3 import SE3
 
 CHASSIS = "hex"
@@ -92,6 +93,11 @@ class StereoCamera:
     """URDF name of the link that carries it"""
 
     @property
+    def on_chassis(self) -> bool:
+        """Whether it looks from the chassis, not from a leg."""
+        return self.link == CHASSIS
+
+    @property
     def hex_from_camera(self) -> SE3:
         """Pose of the left eye on the chassis; a camera that rides on a leg has one only `riding` on it."""
         if self.link != CHASSIS:
@@ -109,6 +115,20 @@ class StereoCamera:
     def hex_from_right(self) -> SE3:
         """Pose of the right eye."""
         return self.hex_from_camera.compose(SE3.from_translation(np.array([self.baseline, 0.0, 0.0])))
+
+
+def mounted_beside(place: Vec3, tilt: float, baseline: float) -> SE3:
+    """`link_from_camera` of the left eye of a pair beside a leg's last link, whose x axis points to the axle.
+
+    Args:
+        place: of the pair's centre in the link's frame [m].
+        tilt: of the boresight from the link's x axis towards its y axis, to the side where the tool is [rad].
+        baseline: distance between the eyes along the link's z axis [m].
+    """
+    forward = np.array([np.cos(tilt), np.sin(tilt), 0.0])
+    right = np.array([0.0, 0.0, 1.0])
+    rotation = np.column_stack([right, np.cross(forward, right), forward])
+    return SE3(rotation, np.asarray(place, dtype=float) - 0.5 * baseline * right)
 
 
 def mounted(azimuth: float, radius: float, height: float, look: str, pitch_down: float, baseline: float) -> SE3:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from athlete_twin.model.body_meshes import body_looks
+from athlete_twin.model.body_meshes import body_looks, leg_camera_looks
 from athlete_twin.model.leg_meshes import leg_looks
 from athlete_twin.model.solids import obj_text
 from athlete_twin.model.spec import load_spec
@@ -24,7 +24,8 @@ def generated_files(robot: str) -> dict[str, str]:
     spec = load_spec(robot)
     files: dict[str, str] = {}
     visuals: dict[str, list[tuple[str, str]]] = {}
-    for kind, look in (body_looks(spec) | leg_looks(spec)).items():
+    # A link of one leg can carry more than its kind: its own meshes go by its own name.
+    for kind, look in (body_looks(spec) | leg_looks(spec) | leg_camera_looks(spec)).items():
         for material, mesh in look.items():
             path = f"meshes/{kind}_{material}.obj"
             files[path] = obj_text(mesh)

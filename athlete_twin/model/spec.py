@@ -14,10 +14,15 @@ import numpy as np
 from athlete_twin.assets import read_toml, robot_dir
 from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.arrays import LegJoints, PerLeg, Vec3, Wheels
-from athlete_twin.model.camera import Pinhole, StereoCamera, mounted
+from athlete_twin.model.camera import CHASSIS, Pinhole, StereoCamera, mounted, mounted_beside
 
 LABELS = ("PUB", "CAD", "INF", "EST")
 LEGS = 6
+
+CAMERA_KEYS = {"group", "hfov_deg", "baseline", "size_px"}
+CHASSIS_CAMERA_KEYS = {"azimuth_deg", "radius", "height", "look", "pitch_down_deg"}
+LEG_CAMERA_KEYS = {"legs", "link", "place", "tilt_deg"}
+"""what a `[[camera]]` table may say: of every pair, of one on the chassis, of one on a leg"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -285,18 +290,26 @@ def _deck(entry: dict[str, Any]) -> DeckSpec:
 
 
 def _cameras(group: dict[str, Any]) -> list[StereoCamera]:
+    """The pairs of one group: on the chassis at `azimuth_deg`, or beside the last link of `legs`."""
+    on_legs = "legs" in group
+    unknown = set(group) - (CAMERA_KEYS | (LEG_CAMERA_KEYS if on_legs else CHASSIS_CAMERA_KEYS))
+    if unknown:
+        where = "legs" if on_legs else "the chassis"
+        raise ConfigError(f"camera group {group.get('group')!r} on {where}: key {sorted(unknown)[0]!r} is not known")
     width, height = (int(n) for n in figure(group["size_px"]))
     eye = Pinhole.from_fov(width, height, float(np.deg2rad(figure(group["hfov_deg"]))))
     baseline = figure(group["baseline"])
-    pitch = float(np.deg2rad(figure(group["pitch_down_deg"])))
-    radius, height, look = figure(group["radius"]), figure(group["height"]), group["look"]
+    if on_legs:
+        beside = mounted_beside(figure(group["place"]), float(np.deg2rad(figure(group["tilt_deg"]))), baseline)
+        places = [(f"leg{int(leg)}_{group['link']}", beside) for leg in figure(group["legs"])]
+    else:
+        pitch = float(np.deg2rad(figure(group["pitch_down_deg"])))
+        radius, z, look = figure(group["radius"]), figure(group["height"]), group["look"]
+        azimuths = np.deg2rad(figure(group["azimuth_deg"]))
+        places = [(CHASSIS, mounted(float(a), radius, z, look, pitch, baseline)) for a in azimuths]
     return [
         StereoCamera(
-            name=f"{group['group']}_{number}",
-            group=group["group"],
-            link_from_camera=mounted(float(np.deg2rad(azimuth)), radius, height, look, pitch, baseline),
-            baseline=baseline,
-            eye=eye,
+            name=f"{group['group']}_{number}", group=group["group"], link=link, link_from_camera=at, baseline=baseline, eye=eye
         )
-        for number, azimuth in enumerate(figure(group["azimuth_deg"]), start=1)
+        for number, (link, at) in enumerate(places, start=1)
     ]

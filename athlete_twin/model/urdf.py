@@ -28,7 +28,7 @@ WHEEL_SPEED = 3.5
 """of the wheel drives [rad/s]; EST, 3 km/h on SDM-B"""
 
 Visuals = Mapping[str, Sequence[tuple[str, str]]]
-"""by kind of link: mesh file beside the URDF, material"""
+"""by kind of link, or by a link's own name: mesh file beside the URDF, material"""
 Materials = Mapping[str, tuple[float, float, float]]
 """red, green, blue in 0..1 by name"""
 
@@ -53,7 +53,8 @@ def urdf_text(spec: RobotSpec, *, visuals: Visuals, materials: Materials) -> str
         lines.append(f'  <material name="{name}"><color rgba="{_numbers((*colour, 1.0))}"/></material>')
 
     def link(name: str, kind: str, mass: float, com: Vec3) -> None:
-        lines.extend(_link(name, mass, com, moments[kind], shapes[kind], visuals.get(kind, ())))
+        own = visuals.get(name, ()) if name != kind else ()
+        lines.extend(_link(name, mass, com, moments[kind], shapes[kind], (*visuals.get(kind, ()), *own)))
 
     link("hex", "hex", spec.body_mass, spec.body_com)
     for deck in spec.decks:

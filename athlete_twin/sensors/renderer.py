@@ -80,6 +80,8 @@ class RenderResult:
     """along the boresight, NaN for sky [m]"""
     label: Image
     """0 sky, 1 ground, 2 rock, 3 robot"""
+    leg: np.ndarray
+    """index 0 to 5 of the leg that a pixel shows, -1 elsewhere, shape (h, w), int8"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -112,6 +114,7 @@ class Renderer:
         vertices, triangles, self._first_far_rock = ground_mesh(terrain)
         self._ground = _scene_of(vertices, triangles)
         self._fields = surface_fields(terrain)
+        self._part_leg = np.array([*(_leg_of(p.link) for p in self._parts), -1], dtype=np.int8)
         self._part_colour = np.array([p.colour for p in self._parts], dtype=float).reshape(-1, 3)
         self._part_albedo = np.array([p.albedo for p in self._parts], dtype=float)
 
@@ -144,8 +147,9 @@ class Renderer:
         image[sky] = _sky_brightness(directions[sky])
         shape = (eye.height_px, eye.width_px)
         return RenderResult(
-            image=image.reshape(shape), depth=s.depth.reshape(shape).astype(float), label=s.label.reshape(shape)
-        )
+            image=image.reshape(shape), depth=s.depth.reshape(shape).astype(float), label=s.label.reshape(shape),
+            leg=self._part_leg[s.part].reshape(shape),
+        )  # fmt: skip
 
     def render_view(
         self, world_from_camera: SE3, eye: Pinhole, link_poses: Mapping[str, SE3], *, supersampling: int = 2
@@ -254,6 +258,12 @@ class Renderer:
         side /= np.linalg.norm(side)
         other = np.cross(self._sun, side)
         return np.asarray(self._sun + SUN_RADIUS * places @ np.vstack([side, other]))
+
+
+def _leg_of(link: str) -> int:
+    """Index of the leg that a link belongs to by its URDF name, -1 for the chassis."""
+    digit = link.removeprefix("leg").removeprefix("wheel")[:1]
+    return int(digit) - 1 if link.startswith(("leg", "wheel")) and digit.isdigit() else -1
 
 
 def _scene_of(vertices: np.ndarray, triangles: np.ndarray) -> Any:

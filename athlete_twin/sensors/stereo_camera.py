@@ -1,7 +1,7 @@
-"""Stereo pairs as the robot takes them: true poses that differ from the drawings, exposure, photon and read noise, 8 bits.
+"""Stereo pairs as the robot takes them: true poses that differ from the drawings, exposure, photon and read noise, bits.
 
-An image is linear: `grey = 255 min(1, radiance * exposure * RESPONSE)`, cut off at white. Pairs are rectified: the error
-of a mounting moves both eyes together.
+An image is linear: `grey = white min(1, radiance * exposure * RESPONSE)`, cut off at white, which is 255 or 4095. Pairs are
+rectified: the error of a mounting moves both eyes together. A bracket of exposures is taken from one place at one time.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import CameraError
-from athlete_twin.geometry.arrays import Image, Wheels
+from athlete_twin.geometry.arrays import RawImage, Wheels
 from athlete_twin.geometry.se3 import SE3
+from athlete_twin.messages import BITS
 from athlete_twin.model.camera import Pinhole
 from athlete_twin.model.spec import RobotSpec
 from athlete_twin.robot import ViewTruth
@@ -41,9 +42,9 @@ EYES = ("left", "right")
 class Shot:
     """One pair as taken, and what its left eye truly saw."""
 
-    left: Image
-    """8-bit grey, shape (h, w)"""
-    right: Image
+    left: RawImage
+    """grey, shape (h, w): 8 bits in uint8, 12 in uint16"""
+    right: RawImage
     exposure: float
     """[s]"""
     seen: RenderResult
@@ -58,8 +59,9 @@ class Shot:
         points = self.eye.rays() * seen.depth[..., None]
         points = self.world_from_left.apply(points.reshape(-1, 3)).reshape(points.shape)
         return ViewTruth(
-            t=t, camera=camera, label=seen.label, depth=seen.depth, points_in_world=points, wheels_in_world=wheels_in_world
-        )
+            t=t, camera=camera, label=seen.label, leg=seen.leg, depth=seen.depth, points_in_world=points,
+            wheels_in_world=wheels_in_world,
+        )  # fmt: skip
 
 
 class StereoRig:
@@ -80,12 +82,12 @@ class StereoRig:
         self._spec = spec
         self._renderer = renderer
         self._seed = seed
-        self._hex_from_left = {c.name: c.hex_from_camera.compose(camera_error[c.name]) for c in spec.cameras}
+        self._link_from_left = {c.name: c.link_from_camera.compose(camera_error[c.name]) for c in spec.cameras}
 
     def true_pose(self, camera: str) -> SE3:
-        """`hex_from_camera` of the left eye as it truly is, for scoring."""
+        """`link_from_camera` of the left eye as it truly is, for scoring."""
         self._spec.camera(camera)
-        return self._hex_from_left[camera]
+        return self._link_from_left[camera]
 
     def capture(
         self,
@@ -96,8 +98,10 @@ class StereoRig:
         world_from_hex: SE3,
         index: int,
         exposure: float | None = None,
-    ) -> dict[str, Shot]:
-        """A shot of each named pair, all taken at one instant.
+        bits: int = 8,
+        brackets: Sequence[float] = (1.0,),
+    ) -> dict[str, tuple[Shot, ...]]:
+        """The shots of each named pair, all taken at one instant: one for each exposure of the bracket, in its order.
 
         Args:
             cameras: names of pairs.
@@ -106,27 +110,37 @@ class StereoRig:
             world_from_hex: true pose of the chassis.
             index: counts the captures of a trial; keys the noise, so that a pair's noise does not depend on who else looked.
             exposure: [s]; metered from the left image by default.
+            bits: of a grey value, 8 or 12.
+            brackets: exposures in multiples of `exposure`.
         """
         drawn = [self._spec.camera(name) for name in cameras]
         robot = self._renderer.place(link_poses)
-        out: dict[str, Shot] = {}
+        out: dict[str, tuple[Shot, ...]] = {}
         for camera in drawn:
             eye = camera.eye.binned(binning)
-            world_from_left = world_from_hex.compose(self._hex_from_left[camera.name])
+            world_from_link = world_from_hex if camera.on_chassis else link_poses[camera.link]
+            world_from_left = world_from_link.compose(self._link_from_left[camera.name])
             world_from_right = world_from_left.compose(SE3.from_translation(np.array([camera.baseline, 0.0, 0.0])))
             left, right = (
                 self._renderer.render(pose, eye, robot) for pose in (world_from_left, world_from_right)
             )
             seconds = metered_exposure(left.image) if exposure is None else exposure
-            images = [
-                develop(
-                    radiance, seconds, binning=binning, rng=noise_generator(self._seed, camera.name, index, eye=side)
-                )
-                for side, radiance in zip(EYES, (left.image, right.image), strict=True)
-            ]
-            out[camera.name] = Shot(
-                left=images[0], right=images[1], exposure=seconds, seen=left, eye=eye, world_from_left=world_from_left
-            )
+            shots = []
+            for bracket, factor in enumerate(brackets):
+                images = [
+                    develop(
+                        radiance, factor * seconds, binning=binning, bits=bits,
+                        rng=noise_generator(self._seed, camera.name, index, eye=side, bracket=bracket),
+                    )
+                    for side, radiance in zip(EYES, (left.image, right.image), strict=True)
+                ]  # fmt: skip
+                shots.append(
+                    Shot(
+                        left=images[0], right=images[1], exposure=factor * seconds, seen=left, eye=eye,
+                        world_from_left=world_from_left,
+                    )
+                )  # fmt: skip
+            out[camera.name] = tuple(shots)
         return out
 
 
@@ -137,27 +151,31 @@ def metered_exposure(radiance: np.ndarray) -> float:
     return float(np.clip(METERED_LEVEL / (RESPONSE * bright), *EXPOSURES))
 
 
-def develop(radiance: np.ndarray, exposure: float, *, binning: int, rng: np.random.Generator) -> Image:
-    """The 8-bit image of a radiance: photon noise, read noise, cut off at white.
+def develop(radiance: np.ndarray, exposure: float, *, binning: int, rng: np.random.Generator, bits: int = 8) -> RawImage:
+    """The image of a radiance: photon noise, read noise, cut off at white.
 
     Args:
         radiance: shape (h, w).
         exposure: [s].
         binning: pixels averaged along each side; averaging lowers both kinds of noise.
         rng: of this eye and capture.
+        bits: of a grey value: 8 gives uint8, 12 gives uint16.
     """
+    if bits not in BITS:
+        raise CameraError(f"{bits} bits a grey value is not one of {', '.join(map(str, BITS))}")
     if not (np.isfinite(exposure) and exposure > 0.0):
         raise CameraError(f"exposure is {exposure} s, must be positive, such as {EXPOSURES[0]} to {EXPOSURES[1]} s")
     electrons = np.minimum(np.maximum(radiance, 0.0) * (exposure * RESPONSE), 4.0) * WHITE_ELECTRONS
     # A pixel's photon noise is near Gaussian above some 20 electrons, and below that the read noise covers it.
     sigma = np.sqrt(electrons + READ_ELECTRONS**2) / binning
     noisy = electrons + sigma * rng.standard_normal(radiance.shape, dtype=np.float32)
-    grey: np.ndarray = np.clip(np.rint(noisy * (255.0 / WHITE_ELECTRONS)), 0.0, 255.0).astype(np.uint8)
-    return grey
+    white = 2.0**bits - 1.0
+    grey: np.ndarray = np.clip(np.rint(noisy * (white / WHITE_ELECTRONS)), 0.0, white)
+    return grey.astype(np.uint8 if bits == 8 else np.uint16)
 
 
-def noise_generator(seed: int, camera: str, index: int, *, eye: str) -> np.random.Generator:
-    """The random generator of one eye's noise in one capture."""
-    return np.random.default_rng(
-        [seed, zlib.crc32(b"camera_noise"), zlib.crc32(camera.encode()), EYES.index(eye), index]
-    )
+def noise_generator(seed: int, camera: str, index: int, *, eye: str, bracket: int = 0) -> np.random.Generator:
+    """The random generator of one eye's noise in one exposure of one capture."""
+    key = [seed, zlib.crc32(b"camera_noise"), zlib.crc32(camera.encode()), EYES.index(eye), index]
+    # The first exposure's noise is that of a single one: a bracket stays paired with it.
+    return np.random.default_rng([*key, bracket] if bracket else key)

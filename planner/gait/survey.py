@@ -42,7 +42,7 @@ class SurveyConfig:
 def survey_commands(kin: Kinematics, belief: Belief, heading: Vec2, config: SurveyConfig) -> list[Command]:
     """Pictures all round, then from nodding and turned poses, and back again."""
     spec = kin.spec
-    everything = tuple(c.name for c in spec.cameras)
+    everything = tuple(c.name for c in spec.cameras if c.on_chassis)
     commands: list[Command] = [ImageRequest(cameras=everything, binning=config.binning)]
     across = np.array([-heading[1], heading[0], 0.0])
     nod = (np.deg2rad(config.nod_deg) * across, np.array([0.0, 0.0, -config.nod_drop]))
@@ -57,17 +57,17 @@ def survey_commands(kin: Kinematics, belief: Belief, heading: Vec2, config: Surv
 
 
 def facing(spec: RobotSpec, heading_in_hex: Vec2, *, group: str | None, most: int) -> tuple[str, ...]:
-    """Cameras whose boresight points most nearly along a heading, best first."""
-    cameras = [c for c in spec.cameras if group is None or c.group == group]
+    """Cameras on the chassis whose boresight points most nearly along a heading, best first."""
+    cameras = [c for c in spec.cameras if c.on_chassis and (group is None or c.group == group)]
     along = [float(c.hex_from_camera.rotation[:2, 2] @ heading_in_hex) for c in cameras]
     best = sorted(range(len(cameras)), key=lambda i: -along[i] / np.linalg.norm(cameras[i].hex_from_camera.rotation[:2, 2]))
     return tuple(cameras[i].name for i in best[:most])
 
 
 def seeing(spec: RobotSpec, point_in_hex: Vec3, *, most: int) -> tuple[str, ...]:
-    """Cameras in whose picture a point lies, the most central first."""
+    """Cameras on the chassis in whose picture a point lies, the most central first."""
     found = []
-    for camera in spec.cameras:
+    for camera in (c for c in spec.cameras if c.on_chassis):
         pixel, depth = camera.eye.project(camera.hex_from_camera.inverse().apply(point_in_hex))
         u = (pixel[0] - camera.eye.cx_px) / camera.eye.width_px
         v = (pixel[1] - camera.eye.cy_px) / camera.eye.height_px

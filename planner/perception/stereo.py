@@ -36,7 +36,7 @@ class StereoConfig:
     mode: str = "3way"
     """"3way" (three paths, fast), "sgbm" (five) or "hh" (eight, twelve times slower for 2 mm)"""
     depth_range: dict[str, tuple[float, float]] = field(
-        default_factory=lambda: {"hazcam": (0.6, 7.0), "navcam": (1.2, 12.0)}
+        default_factory=lambda: {"hazcam": (0.6, 7.0), "navcam": (1.2, 12.0), "toolcam": (0.3, 3.0)}
     )
     """per camera group: nearest and farthest depth that is looked for [m]; nearer legs would double the search"""
     block_px: int = 5

@@ -22,8 +22,9 @@ def view(label: np.ndarray) -> ViewTruth:
     wheels = np.full((6, 3), 50.0)
     wheels[2] = [0.2, 0.3, 0.24]
     return ViewTruth(
-        t=1.0, camera="navcam_1", label=label, depth=np.full(SHAPE, 2.0), points_in_world=points, wheels_in_world=wheels
-    )
+        t=1.0, camera="navcam_1", label=label, leg=np.full(SHAPE, -1, np.int8), depth=np.full(SHAPE, 2.0),
+        points_in_world=points, wheels_in_world=wheels,
+    )  # fmt: skip
 
 
 def image(depth: np.ndarray) -> DepthImage:

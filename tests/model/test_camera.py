@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from athlete_twin.errors import CameraError
+from athlete_twin.assets import read_toml, robot_dir
+from athlete_twin.errors import CameraError, ConfigError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import kinematics
-from athlete_twin.model.spec import load_spec
+from athlete_twin.model.spec import load_spec, spec_from_content
 from athlete_twin.model.stance import regular_stance
 
 
@@ -35,3 +36,25 @@ def test_a_camera_on_a_leg_has_no_place_in_hex_by_itself():
         _ = camera.hex_from_camera
     with pytest.raises(CameraError, match="not among the given links"):
         camera.riding({})
+
+
+def test_toolcams_ride_beside_the_wheels_of_some_legs():
+    spec = load_spec("sdm_b")
+    links = kinematics("sdm_b").link_poses(regular_stance(spec))
+    tools = [c for c in spec.cameras if c.group == "toolcam"]
+    assert [c.link for c in tools] == ["leg1_ankle_roll", "leg3_ankle_roll", "leg5_ankle_roll"]
+    for camera in tools:
+        wheel = links[f"wheel{camera.link[3]}"]
+        left = wheel.inverse().compose(camera.riding(links).hex_from_camera)
+        right = wheel.inverse().compose(camera.riding(links).hex_from_right())
+        assert np.linalg.norm(left.translation - right.translation) == pytest.approx(camera.baseline)
+        for eye in (left, right):
+            assert eye.translation[1] > 0.5 * spec.wheel.width  # beside the tyre
+            assert eye.rotation[0, 2] > 0.8  # looks along the last link, to the ground
+
+
+def test_an_unknown_key_of_a_camera_group_is_refused():
+    content = read_toml(robot_dir("sdm_b") / "spec.toml")
+    content["camera"][-1]["azimuth_deg"] = {"value": [0.0], "unit": "deg"}
+    with pytest.raises(ConfigError, match="'toolcam' on legs: key 'azimuth_deg' is not known"):
+        spec_from_content(content)
