@@ -10,9 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, no_type_check, runtime_checkable
 
 import cv2
+import numba
 import numpy as np
 
 from athlete_twin.errors import CameraError
@@ -22,6 +23,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.camera import Pinhole
 from athlete_twin.sensors.backdrop import ground_mesh
 from athlete_twin.sensors.shading import Surface, shade, surface_fields
+from athlete_twin.sensors.sun_cover import SunCover
 from athlete_twin.sensors.texture import ROBOT, SKY
 from athlete_twin.world.terrain import Terrain
 
@@ -114,6 +116,8 @@ class Renderer:
         vertices, triangles, self._first_far_rock = ground_mesh(terrain)
         self._ground = _scene_of(vertices, triangles)
         self._fields = surface_fields(terrain)
+        nx, ny = terrain.grid.shape
+        self._cover = SunCover(terrain.grid, vertices[triangles[2 * (nx - 1) * (ny - 1) :]], self._sun)
         self._part_leg = np.array([*(_leg_of(p.link) for p in self._parts), -1], dtype=np.int8)
         self._part_colour = np.array([p.colour for p in self._parts], dtype=float).reshape(-1, 3)
         self._part_albedo = np.array([p.albedo for p in self._parts], dtype=float)
@@ -182,10 +186,7 @@ class Renderer:
         self, world_from_camera: SE3, directions: np.ndarray, focal: float, robot: PlacedRobot, sun: np.ndarray
     ) -> Surface:
         """What the rays meet; their directions have length 1 along the boresight, so that a ray's parameter is depth."""
-        rays = np.empty((len(directions), 6), dtype=np.float32)
-        rays[:, :3] = world_from_camera.translation + NEAR * directions
-        rays[:, 3:] = directions
-        tensor = open3d().core.Tensor(rays)
+        tensor = open3d().core.Tensor(_rays(world_from_camera.translation, directions, np.float32(NEAR)))
         return shade(
             self._ground.cast_rays(tensor),
             None if robot.scene is None else robot.scene.cast_rays(tensor),
@@ -204,18 +205,17 @@ class Renderer:
 
     def _lit(self, s: Surface, robot: PlacedRobot, sun: np.ndarray) -> np.ndarray:
         """1 where the sun sees the point, 0 elsewhere; asked only where the surface faces it."""
-        ask = s.toward > 0.0
-        lit = np.zeros(len(ask), dtype=np.float32)
-        rays = np.empty((int(np.count_nonzero(ask)), 6), dtype=np.float32)
-        if len(rays) == 0:
+        asked = np.flatnonzero(s.toward > 0.0)
+        lit = np.zeros(len(s.toward), dtype=np.float32)
+        if len(asked) == 0:
             return lit
-        rays[:, :3] = s.points[ask] + np.float32(SHADOW_LIFT) * s.facets[ask]
-        rays[:, 3:] = sun if len(sun) == 1 else sun[ask]
-        tensor = open3d().core.Tensor(rays)
-        free = ~self._ground.test_occlusions(tensor).numpy()
+        rays = _shadow_rays(asked, s.points, s.facets, np.float32(SHADOW_LIFT), np.ascontiguousarray(sun))
+        free = np.ones(len(rays), dtype=bool)
+        may = self._cover.may_shade(rays)
+        free[may] = ~self._ground.test_occlusions(open3d().core.Tensor(rays[may])).numpy()
         if robot.scene is not None:
-            free &= ~robot.scene.test_occlusions(tensor).numpy()
-        lit[ask] = free
+            free &= ~robot.scene.test_occlusions(open3d().core.Tensor(rays)).numpy()
+        lit[asked] = free
         return lit
 
     def _colour(
@@ -277,10 +277,45 @@ def _scene_of(vertices: np.ndarray, triangles: np.ndarray) -> Any:
 
 
 def _directions(world_from_camera: SE3, rays: np.ndarray) -> np.ndarray:
-    # Written out: a threaded matrix product costs more than it saves on three columns.
-    x, y, z = world_from_camera.rotation.T.astype(np.float32)
-    r = rays.astype(np.float32)
-    return np.asarray(r[:, 0:1] * x + r[:, 1:2] * y + r[:, 2:3] * z)
+    turned: np.ndarray = _turned(np.ascontiguousarray(world_from_camera.rotation, dtype=np.float32), rays.astype(np.float32))
+    return turned
+
+
+# Written out: a threaded matrix product costs more than it saves on three columns, and numpy makes a copy a step.
+@no_type_check
+@numba.njit(nogil=True, cache=True)
+def _turned(rotation, rays):  # type: ignore[no-untyped-def]
+    out = np.empty_like(rays)
+    for i in range(rays.shape[0]):
+        for k in range(3):
+            out[i, k] = rays[i, 0] * rotation[k, 0] + rays[i, 1] * rotation[k, 1] + rays[i, 2] * rotation[k, 2]
+    return out
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True)
+def _rays(origin, directions, near):  # type: ignore[no-untyped-def]
+    """Rays that start `near` before the eye, (n, 6): place in world, direction."""
+    out = np.empty((directions.shape[0], 6), dtype=np.float32)
+    for i in range(directions.shape[0]):
+        for k in range(3):
+            out[i, k] = origin[k] + near * directions[i, k]
+            out[i, 3 + k] = directions[i, k]
+    return out
+
+
+@no_type_check
+@numba.njit(nogil=True, cache=True)
+def _shadow_rays(asked, points, facets, lift, sun):  # type: ignore[no-untyped-def]
+    """Rays towards the sun from just above the asked points, (m, 6); `sun` has one row for all, or one a point."""
+    out = np.empty((len(asked), 6), dtype=np.float32)
+    for j in range(len(asked)):
+        i = asked[j]
+        s = i if sun.shape[0] > 1 else 0
+        for k in range(3):
+            out[j, k] = points[i, k] + lift * facets[i, k]
+            out[j, 3 + k] = sun[s, k]
+    return out
 
 
 def _edges(picture: np.ndarray) -> np.ndarray:

@@ -1,8 +1,11 @@
-"""From what the rays hit to light: one pass over the pixels before the shadow rays. Compiled, one thread, same bytes."""
+"""From what the rays hit to light: one pass over the pixels before the shadow rays. Compiled; same bytes on any threads."""
 
 from __future__ import annotations
 
+import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, no_type_check
 
 import numba
@@ -16,6 +19,9 @@ SKYLIGHT = 0.26
 """irradiance of the open sky over that of the sun"""
 GROUND_ALBEDO = 0.3
 """of the ground that throws light up against a robot's belly"""
+MAX_THREADS = 8
+PIXELS_A_THREAD = 20_000
+"""fewer are not worth a thread"""
 SLOPE_X, SLOPE_Y, ROCKY, ALBEDO, OPENNESS = range(5)
 """layers of the surface fields"""
 
@@ -106,14 +112,25 @@ def shade(
         t_robot, n_robot = robot["t_hit"].numpy(), robot["primitive_normals"].numpy()
         id_robot = robot["primitive_ids"].numpy()
     grid = terrain.grid
-    _shade(
-        ground["t_hit"].numpy(), ground["primitive_normals"].numpy(), ids, t_robot, n_robot, id_robot,
-        origin, directions, near, focal, np.array([grid.origin_x, grid.origin_y, grid.cell]), fields, first_far_rock,
-        float(terrain.rock_material.albedo), float(terrain.soil.albedo),
-        part_of_triangle, link_from_world, part_albedo, np.ascontiguousarray(sun),
-        at["depth"], label, part, at["rocky"], vectors["points"], vectors["facets"], vectors["normals"],
-        at["albedo"], at["ambient"], at["toward"],
-    )  # fmt: skip
+    place = np.array([grid.origin_x, grid.origin_y, grid.cell])
+    t_ground, n_ground = ground["t_hit"].numpy(), ground["primitive_normals"].numpy()
+    suns = np.ascontiguousarray(sun)
+
+    def shade_slice(k: slice) -> None:
+        _shade(
+            t_ground[k], n_ground[k], ids[k], t_robot[k], n_robot[k], id_robot[k],
+            origin, directions[k], near, focal, place, fields, first_far_rock,
+            float(terrain.rock_material.albedo), float(terrain.soil.albedo),
+            part_of_triangle, link_from_world, part_albedo, suns if len(suns) == 1 else suns[k],
+            at["depth"][k], label[k], part[k], at["rocky"][k], vectors["points"][k], vectors["facets"][k],
+            vectors["normals"][k], at["albedo"][k], at["ambient"][k], at["toward"][k],
+        )  # fmt: skip
+
+    # Pixels do not know of each other: threads share them out, and the bytes stay the same.
+    threads = min(MAX_THREADS, len(os.sched_getaffinity(0)), 1 + n // PIXELS_A_THREAD)
+    edges = np.linspace(0, n, threads + 1).astype(int)
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(shade_slice, [slice(a, b) for a, b in pairwise(edges.tolist())]))
     return Surface(label=label, part=part, **at, **vectors)
 
 
