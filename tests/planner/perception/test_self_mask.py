@@ -4,9 +4,11 @@ import pytest
 from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.appearance import VisualPart
-from planner.perception.self_mask import SelfMaskConfig, draw_robot, remove_self
+from planner.perception.ground_surface import height_above_ground
+from planner.perception.robot_drawing import draw_robot
+from planner.perception.self_mask import SelfMaskConfig, remove_self
 from planner.perception.stereo import StereoConfig, match
-from planner.perception.watershed import height_above_ground, segment
+from planner.perception.watershed import segment
 
 UP = np.array([0.0, 0.0, 1.0])
 LEG, ROCK, SWUNG = 1, 2, 3
@@ -178,5 +180,5 @@ def test_wheel_is_told_from_a_rock_by_where_it_stands(synth):
 
 
 def test_unknown_method_is_refused():
-    with pytest.raises(ConfigError, match=r"self_mask method 'magic'.*watershed, kinematic, combined, none"):
+    with pytest.raises(ConfigError, match=r"self_mask method 'magic'.*flatten, kinematic, watershed, combined, none"):
         SelfMaskConfig(method="magic")
