@@ -125,7 +125,7 @@ class Seen:
 class Overcast(Renderer):
     """The same ground under a sky without sun."""
 
-    def _lit(self, s: Surface, robot: PlacedRobot, sun: np.ndarray) -> np.ndarray:
+    def _lit(self, s: Surface, robot: PlacedRobot, sun: np.ndarray) -> np.ndarray:  # noqa: ARG002
         return np.zeros(len(s.toward), dtype=np.float32)
 
 

@@ -31,6 +31,8 @@ THIN = 0.6
 """of a part's half thickness: farther in it is core, however wide the band"""
 NEAREST = 0.5
 """parts drawn nearer than that are at the lens: no pair measures there, and their motion in the picture says nothing [m]"""
+NEAREST_STEP_PX = 4
+"""of the sparse grid on which the nearest measured depth is looked for"""
 GUARD_PX = 3.0
 """width of the rim of sure terrain that the flood meets outside the band"""
 ROBOT, TERRAIN = 2, 3
@@ -110,7 +112,8 @@ def seeded_mask(
     spread = _spread(depth, coarse, coarse_eye.focal_px, fit, shape)
     if not fine.drawn.any():
         return SeededMask(mask=mask, labels=labels, expected=fine.depth, fit=fit)
-    window = _window(fine.drawn, int(np.ceil(config.sigmas * spread[fine.drawn].max() + config.own_px + config.fattening_px)) + config.rim_px + 4)
+    half = config.sigmas * float(spread[fine.drawn].max()) + config.own_px
+    window = _window(fine.drawn, int(np.ceil(half + config.fattening_px + GUARD_PX)) + config.rim_px + 1)
     mask[window], labels[window] = _cut(depth, fine, spread, window, surface, config)
     return SeededMask(mask=mask, labels=labels, expected=fine.depth, fit=fit)
 
@@ -151,14 +154,19 @@ def _cut(
     size = 2 * int(np.ceil(np.median(half[drawn]))) + 3
     farthest = np.maximum(cv2.dilate(expected, np.ones((size, size), np.uint8)), leg_depth)
     behind = known & (np.nan_to_num(measured) > farthest + config.depth_tolerance)
+    # On a part that is drawn nearer than anything that was measured no depth can be true: there depth fails.
+    sparse = depth.depth[::NEAREST_STEP_PX, ::NEAREST_STEP_PX]
+    fails = leg_depth < float(np.min(sparse, initial=np.inf, where=np.isfinite(sparse)))
+    behind &= ~fails
     # A part thinner than the band is wide has a core too: its middle.
-    core = drawn & (inside > np.minimum(half, THIN * cv2.dilate(inside, np.ones((size, size), np.uint8))))
+    thick = cv2.dilate(inside, np.ones((size, size), np.uint8))
+    core = drawn & (fails | (inside > np.minimum(half, THIN * thick)))
     edge = half + config.fattening_px
     band = (outside <= edge) & ~core
     ask = (outside <= edge + config.rim_px) & known & ~drawn
     height = np.full(drawn.shape, -np.inf)
     height[ask] = surface.height(_points(depth, window, ask))
-    terrain = (behind & ~core) | (ask & (height < config.low)) | ((outside > edge) & (outside <= edge + GUARD_PX))
+    terrain = (behind & ~core) | (ask & ~fails & (height < config.low)) | ((outside > edge) & (outside <= edge + GUARD_PX))
     # Beside the outline and as near as the leg: carried there by matching.
     alike = known & ~behind & (np.abs(np.nan_to_num(measured) - leg_depth) < config.depth_tolerance)
     fattened = alike & band & ~terrain & (outside <= config.fattening_px)
@@ -166,7 +174,7 @@ def _cut(
     markers[terrain] = TERRAIN
     markers[core | fattened] = ROBOT
     depth_level = depth_edges(depth, window, edge_px=config.edge_px)
-    level = np.where(known, depth_level, image_edges(depth.grey[window], edge_grey=config.edge_grey))
+    level = np.where(known & ~fails, depth_level, image_edges(depth.grey[window], edge_grey=config.edge_grey))
     labels = flood(markers, level, band)
     mask = labels == ROBOT
     size = 2 * config.rim_px + 1

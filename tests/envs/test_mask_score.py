@@ -67,8 +67,8 @@ def test_a_wheel_far_away_is_not_near():
     lost = np.full(SHAPE, 2.0)
     lost[39, :10] = np.nan  # 0.2 m and more from the axle, but within 0.4 m
     score.looked(look(np.full(SHAPE, 2.0), lost))
-    assert score.near == pytest.approx(SHAPE[0] * SHAPE[1])
-    assert score.near_removed == 10
+    assert score.counts.near == pytest.approx(SHAPE[0] * SHAPE[1])
+    assert score.counts.near_removed == 10
 
 
 def test_a_look_at_another_moment_and_no_look_at_all_count_nothing():
