@@ -171,10 +171,16 @@ def _light_rows(robot: str, by_light: dict[tuple[str, bool, str], Tally]) -> lis
             row(f"{name}: terrain lost within 0.4 m of a wheel", counts.share("near"), "1"),
         ]
         if (light, brackets, method) == ("hard shadow", False, "watershed"):
-            ours = by_light[light, brackets, "combined"].counts.share("standing")
-            failed = f"{robot} the paper's failure, watershed between sunshine and shadow: combined's recall"
-            out.append(row(failed, ours, "1", target=RECALL, peer_name="watershed", peer=counts.share("standing")))
+            ours, theirs = (_legs(by_light[light, brackets, m].counts) for m in ("combined", method))
+            failed = f"{robot} the paper's failure, watershed between sunshine and shadow: pixels of all legs combined removes"
+            out.append(row(failed, ours, "1", target=RECALL, peer_name="watershed", peer=theirs))
     return out
+
+
+def _legs(counts: MaskCounts) -> float | None:
+    """Share removed of the pixels of all legs."""
+    whole = counts.standing + counts.raised
+    return (counts.standing_removed + counts.raised_removed) / whole if whole else None
 
 
 def _panel(view: SceneView, masked: MaskedDepth, method: str) -> np.ndarray:

@@ -36,8 +36,8 @@ POSE_ERROR, ANGLE_ERROR = 0.03, np.deg2rad(1.0)
 """of the camera that the ground believes in [m, rad]"""
 ROCK_BESIDE = 0.6
 """share of the wheels that have a rock beside them"""
-ROCK_GAP = (0.26, 0.34)
-"""from the axle to the rock's rim, in SDM-B's wheel; larger wheels stand farther from theirs [m]"""
+ROCK_GAP = (0.02, 0.08)
+"""from the ground under the wheel that is kept clear to the rock's rim [m]"""
 ROCK_SIZE = (0.18, 0.45)
 """its diameter [m]"""
 CLEAR = 0.9
@@ -235,7 +235,7 @@ def _rocks_beside(spec: RobotSpec, wheels: np.ndarray, seed: int) -> tuple[Rock,
     for wheel in wheels:
         has, azimuth = rng.uniform() < ROCK_BESIDE, rng.uniform(0.0, 2.0 * np.pi)
         gap, size, flat = rng.uniform(*ROCK_GAP), rng.uniform(*ROCK_SIZE), rng.uniform(0.45, 0.6)
-        away = gap * spec.wheel.radius / load_spec("sdm_b").wheel.radius + 0.5 * size
+        away = CLEAR * spec.wheel.radius + gap + 0.5 * size
         if has:
             x, y = wheel[:2] + away * np.array([np.cos(azimuth), np.sin(azimuth)])
             out.append(Rock(x=float(x), y=float(y), diameter=float(size), height=float(flat * size)))

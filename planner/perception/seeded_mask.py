@@ -19,6 +19,7 @@ from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.arrays import DepthMap, Mask
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.appearance import VisualPart
+from athlete_twin.model.camera import Pinhole
 from planner.perception.drawing_fit import DrawingFit, DrawingFitConfig, fit_drawing
 from planner.perception.ground_surface import GroundSurface
 from planner.perception.robot_drawing import DrawnView, RobotDrawing, beside_drawn
@@ -26,7 +27,7 @@ from planner.perception.stereo import DepthImage
 from planner.perception.watershed import depth_edges, flood, image_edges
 
 COARSE_WIDTH = 256
-"""of the picture in which the drawing is placed [px]"""
+"""of the picture in which the drawing is placed, at least [px]"""
 THIN = 0.6
 """of a part's half thickness: farther in it is core, however wide the band"""
 NEAREST = 0.5
@@ -97,7 +98,7 @@ def seeded_mask(
         config: how wide, how near, how sharp.
     """
     drawing = RobotDrawing(parts, hex_from_link)
-    step = max(1, depth.eye.width_px // COARSE_WIDTH)
+    step = next(n for n in (8, 4, 2, 1) if n == 1 or depth.eye.width_px >= n * COARSE_WIDTH)
     coarse_eye = depth.eye.binned(step) if step > 1 else depth.eye
     fit = fit_drawing(depth, drawing.view(depth.camera.hex_from_camera, coarse_eye), step=step, config=config.fit)
     hex_from_fitted = depth.camera.hex_from_camera.compose(fit.true_from_drawn.inverse())
@@ -109,7 +110,7 @@ def seeded_mask(
     near = cv2.dilate(coarse.drawn.astype(np.uint8), np.ones((3, 3), np.uint8))
     only = cv2.resize(near, shape[::-1], interpolation=cv2.INTER_NEAREST) > 0
     fine = drawing.view(hex_from_fitted, depth.eye, only=only)
-    spread = _spread(depth, coarse, coarse_eye.focal_px, fit, shape)
+    spread = _spread(depth, coarse, coarse_eye, fit)
     if not fine.drawn.any():
         return SeededMask(mask=mask, labels=labels, expected=fine.depth, fit=fit)
     half = config.sigmas * float(spread[fine.drawn].max()) + config.own_px
@@ -118,20 +119,16 @@ def seeded_mask(
     return SeededMask(mask=mask, labels=labels, expected=fine.depth, fit=fit)
 
 
-def _spread(depth: DepthImage, coarse: DrawnView, focal: float, fit: DrawingFit, shape: tuple[int, int]) -> np.ndarray:
+def _spread(depth: DepthImage, coarse: DrawnView, coarse_eye: Pinhole, fit: DrawingFit) -> np.ndarray:
     """One sigma of where each drawn pixel appears, shape (h, w) [px]; beside the drawing that of the nearest."""
     rows, columns = np.nonzero(coarse.drawn)
-    z = coarse.depth[rows, columns]
-    middle = np.array(coarse.depth.shape[::-1]) / 2.0
-    points = np.column_stack([(columns - middle[0]) / focal * z, (rows - middle[1]) / focal * z, z])
+    points = coarse_eye.rays()[rows, columns] * np.maximum(coarse.depth[rows, columns], NEAREST)[:, None]
     out = np.zeros(coarse.depth.shape, dtype=np.float32)
-    points *= np.maximum(NEAREST / z, 1.0)[:, None]
     out[rows, columns] = fit.spread_px(points, depth.eye.focal_px)
     _, owner = cv2.distanceTransformWithLabels((out == 0.0).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL)
     of_owner = np.zeros(int(owner.max()) + 1, dtype=np.float32)
     of_owner[owner[rows, columns]] = out[rows, columns]
-    grown = of_owner[owner]
-    return np.asarray(cv2.resize(grown, shape[::-1], interpolation=cv2.INTER_NEAREST))
+    return np.asarray(cv2.resize(of_owner[owner], depth.depth.shape[::-1], interpolation=cv2.INTER_NEAREST))
 
 
 def _window(drawn: Mask, margin: int) -> tuple[slice, slice]:

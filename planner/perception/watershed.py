@@ -1,9 +1,10 @@
-"""Depth image -> segments: the watershed of the depth map, and the ground surface that it is cut at.
+"""Depth image -> segments: the watershed of the depth map.
 
 Model: the Laplacian is taken of the inverse depth, scaled to pixels of disparity, because there a plane has none at any
 slant and the noise is the same everywhere. Segments start at its minima and take ever higher pixels until they meet
-([SunSpiral2012] s5.2, after Gonzalez and Woods). Heights are along gravity, measured from a surface fitted to this image;
-what is lower than the cut cannot be told from the ground and bounds the segments below.
+([SunSpiral2012] s5.2, after Gonzalez and Woods). Heights are those above the surface fitted to this
+image (`ground_surface`); what is lower than the cut cannot be told from the ground and bounds the segments below. The same
+flood, from given markers, cuts the drawn robot's edge (`seeded_mask`).
 """
 
 from __future__ import annotations
