@@ -2,7 +2,7 @@
 
 Scripts read the TOML file and hand its content here; the planner opens nothing. Top-level keys choose methods:
 
-    self_mask = "combined"          # watershed, kinematic, combined, none
+    self_mask = "combined"          # flatten, kinematic, watershed, combined, none
     fusion = "over_time"            # over_time, flat (no pictures: the ground is the plane of the wheels)
     localisation = "wheels_and_map" # wheels, wheels_and_map
     sag = "springs"                 # none, raise_terrain, springs
@@ -43,6 +43,7 @@ from planner.motion.smoothing import SmoothingConfig
 from planner.motion.swing import SwingConfig
 from planner.perception.localise import AlignConfig, WheelFitConfig
 from planner.perception.self_clearance import SelfClearanceConfig
+from planner.perception.self_mask import METHODS as SELF_MASKS
 from planner.perception.self_mask import SelfMaskConfig
 from planner.perception.stereo import StereoConfig
 from planner.sag.compensate import SagConfig
@@ -52,7 +53,7 @@ from planner.terrain.fusion import FusionConfig
 from planner.terrain.spikes import SpikeConfig
 
 CHOICES: dict[str, tuple[str, ...]] = {
-    "self_mask": ("watershed", "kinematic", "combined", "none"),
+    "self_mask": SELF_MASKS,
     "fusion": ("over_time", "flat"),
     "localisation": ("wheels", "wheels_and_map"),
     "sag": ("none", "raise_terrain", "springs"),

@@ -6,7 +6,7 @@ import pytest
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import load_spec
 from athlete_twin.robot import ViewTruth
-from envs.mask_score import MaskScore
+from envs.mask_score import MaskCounts, MaskScore, count_mask
 from planner.eyes import Look
 from planner.perception.self_mask import MaskedDepth
 from planner.perception.stereo import DepthImage
@@ -68,8 +68,8 @@ def test_a_wheel_far_away_is_not_near():
     lost = np.full(SHAPE, 2.0)
     lost[39, :10] = np.nan  # 0.2 m and more from the axle, but within 0.4 m
     score.looked(look(np.full(SHAPE, 2.0), lost))
-    assert score.near == pytest.approx(SHAPE[0] * SHAPE[1])
-    assert score.near_removed == 10
+    assert score.counts.near == pytest.approx(SHAPE[0] * SHAPE[1])
+    assert score.counts.near_removed == 10
 
 
 def test_a_look_at_another_moment_and_no_look_at_all_count_nothing():
@@ -77,3 +77,29 @@ def test_a_look_at_another_moment_and_no_look_at_all_count_nothing():
     score.saw(view(np.ones(SHAPE, dtype=np.uint8)))
     score.looked(look(np.ones(SHAPE), np.ones(SHAPE), t=2.0))
     assert score.summary() == {"recall": None, "terrain_lost": None, "lost_near_wheels": None}
+
+
+def test_a_raised_leg_is_counted_apart_from_legs_on_the_ground():
+    label = np.full(SHAPE, 3, dtype=np.uint8)
+    leg = np.full(SHAPE, -1, dtype=np.int8)
+    leg[:10], leg[10:30] = 4, 1
+    removed = np.zeros(SHAPE, dtype=bool)
+    removed[:5], removed[10:25] = True, True
+    shown = {"label": label, "matched": np.ones(SHAPE), "removed": removed, "beside": np.zeros(SHAPE, dtype=bool)}
+    counts = count_mask(**shown, leg=leg, raised=(4,))
+    assert counts.share("raised") == pytest.approx(0.5)
+    assert counts.share("standing") == pytest.approx(0.75)
+    assert counts.share("robot") == pytest.approx(0.5)
+    assert count_mask(**shown).share("raised") is None
+    twice = counts + counts + MaskCounts()
+    assert (twice.robot, twice.raised_removed) == (2 * counts.robot, 2 * counts.raised_removed)
+
+
+def test_what_was_laid_flat_counts_as_removed():
+    label = np.full(SHAPE, 3, dtype=np.uint8)
+    score = MaskScore()
+    score.saw(view(label))
+    flat = look(np.ones(SHAPE), np.full(SHAPE, 1.5))
+    flat.masked.mask[:20] = True
+    score.looked(flat)
+    assert score.summary()["recall"] == pytest.approx(0.5)

@@ -1,12 +1,16 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.appearance import VisualPart
-from planner.perception.self_mask import SelfMaskConfig, draw_robot, remove_self
+from planner.perception.ground_surface import height_above_ground
+from planner.perception.robot_drawing import draw_robot
+from planner.perception.self_mask import SelfMaskConfig, remove_self
 from planner.perception.stereo import StereoConfig, match
-from planner.perception.watershed import height_above_ground, segment
+from planner.perception.watershed import segment
 
 UP = np.array([0.0, 0.0, 1.0])
 LEG, ROCK, SWUNG = 1, 2, 3
@@ -177,6 +181,79 @@ def test_wheel_is_told_from_a_rock_by_where_it_stands(synth):
         assert result.mask[(what == 2) & seen].mean() < 0.02
 
 
+@pytest.mark.parametrize("method", ["flatten", "kinematic", "watershed", "combined"])
+def test_masks_do_not_depend_on_the_order_of_images(view, synth, method):
+    camera = synth.looking(1.4, 35.0)
+    other = match(synth.Scene([synth.Cylinder(2.2, 0.0, 0.15, 0.0, 0.9)]).pair(camera, SE3.identity()), camera, config=StereoConfig())
+    contacts = np.array([[2.0, 0.25, 0.0]])
+    second = (other, *view[1:])
+    forth = [masked(v, method, ground=contacts) for v in (view, second)]
+    back = [masked(v, method, ground=contacts) for v in (second, view)][::-1]
+    for a, b in zip(forth, back, strict=True):
+        np.testing.assert_array_equal(a.mask, b.mask)
+        np.testing.assert_array_equal(a.depth.depth, b.depth.depth)
+
+
+@pytest.mark.parametrize("method", ["flatten", "kinematic", "watershed", "combined"])
+def test_nothing_beyond_the_legs_reach_is_taken(view, synth, method):
+    """A post as tall as a leg, farther away than any leg reaches, and no leg."""
+    camera = synth.looking(1.5, 15.0)
+    scene = synth.Scene([synth.Cylinder(5.5, -1.6, 0.15, 0.0, 1.3)])
+    depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
+    post = (scene.trace(camera.hex_from_camera, camera.eye)[2] == 1) & np.isfinite(depth.depth)
+    assert post.sum() > 200
+    result = masked((depth, *view[1:]), method, ground=np.array([[2.0, 0.25, 0.0]]))
+    assert not result.mask[post].any()
+
+
+def test_rock_that_stands_beside_a_wheel_stays(synth):
+    """Three centimetres between tyre and rock, the belief 3 cm and 1 deg off: the rock keeps its top and most of its face."""
+    camera = synth.looking(1.5, 42.0)
+    scene = synth.Scene([synth.Cylinder(2.0, 0.2, 0.11, 0.0, 0.9), synth.Cylinder(2.0, -0.06, 0.12, 0.0, 0.16)])
+    depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
+    what = scene.trace(camera.hex_from_camera, camera.eye)[2]
+    off = SE3.from_rpy(0.01, -0.01, 0.01, np.array([0.02, -0.02, 0.01]))
+    result = remove_self(
+        depth,
+        config=SelfMaskConfig(method="combined"),
+        parts=[tube("leg1", 0.11, 0.0, 0.9)],
+        hex_from_link={"leg1": off.compose(SE3.from_translation(np.array([2.0, 0.2, 0.0])))},
+        up_in_hex=UP,
+        ground_in_hex=np.zeros((0, 3)),
+    )
+    seen = np.isfinite(depth.depth)
+    assert result.mask[(what == 1) & seen].mean() > 0.97
+    assert result.mask[(what == 2) & seen].mean() < 0.25
+
+
+def test_combined_says_by_how_much_the_belief_was_off(view):
+    shift = np.array([0.0, 0.03, 0.0])
+    result = masked(view, "combined", shift=tuple(shift))
+    camera = view[0].camera.hex_from_camera
+    leg = np.array([2.0, 0.25, 0.8])
+    corrected = camera.apply(result.true_from_drawn.apply(camera.inverse().apply(leg + shift)))
+    assert np.linalg.norm((corrected - leg)[:2]) < 0.012
+
+
+def test_parts_too_near_to_be_matched_are_cut_from_the_drawing_alone(synth):
+    """Of what stands nearer than the search begins, every depth is false; what the drawing covers goes."""
+    camera = synth.looking(1.5, 42.0, group="navcam")
+    scene = synth.Scene([synth.Cylinder(0.75, 0.0, 0.1, 0.7, 1.2)])
+    depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
+    hidden = scene.trace(camera.hex_from_camera, camera.eye)[2] == 1
+    # A false match, as repeated texture gives.
+    false = replace(depth, depth=np.where(hidden, 4.0, depth.depth))
+    result = remove_self(
+        false,
+        config=SelfMaskConfig(method="combined"),
+        parts=[tube("leg1", 0.1, 0.7, 1.2)],
+        hex_from_link={"leg1": SE3.from_translation(np.array([0.75, 0.0, 0.0]))},
+        up_in_hex=UP,
+        ground_in_hex=np.zeros((0, 3)),
+    )
+    assert result.mask[hidden].mean() > 0.97
+
+
 def test_unknown_method_is_refused():
-    with pytest.raises(ConfigError, match=r"self_mask method 'magic'.*watershed, kinematic, combined, none"):
+    with pytest.raises(ConfigError, match=r"self_mask method 'magic'.*flatten, kinematic, watershed, combined, none"):
         SelfMaskConfig(method="magic")
