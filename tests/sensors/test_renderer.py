@@ -92,6 +92,29 @@ def test_shadow_falls_where_geometry_says(tmp_path):
     assert radiance_at(-0.35, 0.0) > 0.7 * lit
 
 
+@pytest.mark.parametrize("azimuth_deg", [0.0, 130.0, 250.0])
+@pytest.mark.parametrize("elevation_deg", [15.0, 35.0, 70.0])
+def test_shadow_lies_where_elevation_and_azimuth_put_it(tmp_path, elevation_deg, azimuth_deg):
+    elevation, azimuth = np.deg2rad(elevation_deg), np.deg2rad(azimuth_deg)
+    flat_part = np.cos(elevation)
+    toward = np.array([flat_part * np.cos(azimuth), flat_part * np.sin(azimuth), np.sin(elevation)])
+    renderer = Renderer(flat(tmp_path, size_x=24.0, size_y=24.0, x_min=-12.0), [BOX], toward)
+    centre = np.array([0.0, 0.0, 0.7])
+    # The eye hangs over where the sun throws the box's centre.
+    eye_pose = SE3(DOWN, np.array([*(-toward[:2] * centre[2] / toward[2]), 4.5]))
+    with_box = renderer.render(eye_pose, EYE, renderer.place({"box": SE3.from_translation(centre)}))
+    without = renderer.render(eye_pose, EYE, renderer.place({}))
+    on_ground = with_box.label == GROUND
+    dark = (with_box.image < 0.7 * without.image)[on_ground]
+    # Where the ray to the sun enters all three slabs of the box before it leaves any.
+    ground = eye_pose.apply((EYE.rays() * without.depth[..., None])[on_ground])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        a, b = ((centre + side - ground) / toward for side in (-0.2, 0.2))
+    hidden = np.fmin(a, b).max(axis=1) < np.fmax(a, b).min(axis=1)
+    assert hidden.sum() > 50
+    assert (dark & hidden).sum() > 0.9 * (dark | hidden).sum()
+
+
 def test_robot_hides_the_ground_and_is_labelled(tmp_path):
     renderer = Renderer(flat(tmp_path), [BOX], SUN)
     robot = renderer.place({"box": SE3.from_translation(np.array([0.0, 0.0, 0.5]))})
