@@ -36,19 +36,27 @@ class TinyScene:
                 pybullet.GEOM_MESH, fileName=str(path), rgbaColor=[0.6, 0.5, 0.4, 1.0], physicsClientId=self._client
             )
         pybullet.createMultiBody(baseVisualShapeIndex=shape, physicsClientId=self._client)
-        robot = pybullet.loadURDF(
+        self._robot = pybullet.loadURDF(
             str(robot_dir(spec.name) / "robot.urdf"), useFixedBase=True, physicsClientId=self._client,
             basePosition=world_from_hex.translation.tolist(),
         )  # fmt: skip
         names = [f"leg{leg + 1}_{n}" for leg in range(LEGS) for n in spec.joint_names]
         angle = dict(zip(names, joints.ravel().tolist(), strict=True))
-        for i in range(pybullet.getNumJoints(robot, physicsClientId=self._client)):
-            link = pybullet.getJointInfo(robot, i, physicsClientId=self._client)[12].decode()
+        for i in range(pybullet.getNumJoints(self._robot, physicsClientId=self._client)):
+            link = pybullet.getJointInfo(self._robot, i, physicsClientId=self._client)[12].decode()
             if link in angle:
-                pybullet.resetJointState(robot, i, angle[link], physicsClientId=self._client)
+                pybullet.resetJointState(self._robot, i, angle[link], physicsClientId=self._client)
 
     def picture(self, world_from_camera: SE3, eye: Pinhole) -> np.ndarray:
         """What an eye sees: red, green, blue, alpha, 8 bit, shape (h, w, 4)."""
+        return np.asarray(self._drawn(world_from_camera, eye)[2]).reshape(eye.height_px, eye.width_px, 4)
+
+    def robot(self, world_from_camera: SE3, eye: Pinhole) -> np.ndarray:
+        """Which pixels show the robot, shape (h, w)."""
+        owner = np.asarray(self._drawn(world_from_camera, eye)[4]).reshape(eye.height_px, eye.width_px)
+        return np.asarray(owner == self._robot)
+
+    def _drawn(self, world_from_camera: SE3, eye: Pinhole) -> Any:
         b = self._bullet
         place = world_from_camera.translation
         view = b.computeViewMatrix(
@@ -56,10 +64,9 @@ class TinyScene:
         )
         vertical = 2.0 * np.rad2deg(np.arctan(0.5 * eye.height_px / eye.focal_px))
         projection = b.computeProjectionMatrixFOV(float(vertical), eye.width_px / eye.height_px, NEAR, FAR)
-        drawn = b.getCameraImage(
+        return b.getCameraImage(
             eye.width_px, eye.height_px, view, projection, shadow=0, renderer=b.ER_TINY_RENDERER, physicsClientId=self._client
         )
-        return np.asarray(drawn[2]).reshape(eye.height_px, eye.width_px, 4)
 
     def __enter__(self) -> TinyScene:
         return self

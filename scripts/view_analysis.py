@@ -122,7 +122,7 @@ def rows_of(spec: RobotSpec, down: Sight, lifted: list[Sight]) -> list[Row]:
         azimuth, on_ground, shared = overlaps(down, group, near)
         rows += [
             row(f"{name} least overlap of neighbouring {group}s in azimuth", 100 * azimuth, "%", target=target),
-            row(f"{name} least overlap of neighbouring {group}s on the ground within reach", 100 * on_ground, "%"),
+            row(f"{name} least overlap of neighbouring {group}s on the ground within reach", 100 * on_ground, "%", target=target),
             row(f"{name} least share of a {group}'s ground that another pair sees too", 100 * shared, "%", target=target),
         ]
     return rows

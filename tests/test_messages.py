@@ -174,3 +174,9 @@ def test_a_12_bit_pair_comes_out_as_it_went_in(state, picture):
 def test_an_image_request_refuses_a_wrong_bracket(wrong, message):
     with pytest.raises(CommandError, match=message):
         ImageRequest(cameras=("hazcam_1",), **wrong)
+
+
+def test_no_message_can_carry_what_is_true():
+    """The truth of a view (labels, legs, depth) has no place in anything that crosses the link."""
+    carried = {f.name for kind in (StereoPair, Telemetry, Receipt, Fault) for f in fields(kind)}
+    assert not carried & {"label", "leg_label", "depth", "points_in_world", "wheels_in_world", "world_from_hex", "seen"}

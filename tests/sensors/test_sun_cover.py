@@ -30,7 +30,10 @@ def test_no_shaded_point_is_left_out(elevation, azimuth):
     xy = rng.uniform([x[0], y[0]], [x[-1], y[-1]], (POINTS, 2))
     # No lower than the renderer starts its rays: a point on the surface is shaded by rounding.
     lift = 0.004 + np.where(rng.random(POINTS) < 0.8, 0.0, rng.exponential(0.3, POINTS))
-    rays = np.column_stack([xy, terrain.grid.sample(xy) + lift, np.tile(sun, (POINTS, 1))]).astype(np.float32)
+    # Onto the triangles: between the corners of a cell they are not the surface that the grid's samples lie on.
+    above = np.column_stack([xy, np.full(POINTS, 9.0), np.tile([0.0, 0.0, -1.0], (POINTS, 1))]).astype(np.float32)
+    ground = 9.0 - scene.cast_rays(o3d.core.Tensor(above))["t_hit"].numpy()
+    rays = np.column_stack([xy, ground + lift, np.tile(sun, (POINTS, 1))]).astype(np.float32)
     shaded = scene.test_occlusions(o3d.core.Tensor(rays)).numpy()
     may = cover.may_shade(rays)
     assert not (shaded & ~may).any()
