@@ -48,6 +48,7 @@ class Scene:
     right: RenderResult
     shadow: np.ndarray
     """pixels of the left image that the sun does not see, shape (h, w)"""
+    right_shadow: np.ndarray
     world_from_hex: SE3
     telemetry: Telemetry
 
@@ -89,6 +90,15 @@ class Scene:
             seq=bracket, robot_id=self.robot, t=0.0, camera=self.camera.name, binning=self.binning, left=images[0],
             right=images[1], exposure=seconds, state=self.telemetry, bits=bits, bracket=bracket,
         )  # fmt: skip
+
+    def under_darker_sky(self, share: float) -> Scene:
+        """The same scene where the sky gives only `share` of its light, as far as shadows tell: towards an airless world's."""
+        def dimmed(seen: RenderResult, shadow: np.ndarray) -> RenderResult:
+            return replace(seen, image=np.where(shadow, share * seen.image, seen.image).astype(np.float32))
+
+        return replace(
+            self, left=dimmed(self.left, self.shadow), right=dimmed(self.right, self.right_shadow)
+        )
 
     def points_in_world(self) -> np.ndarray:
         """True place of every pixel, shape (h, w, 3), NaN for sky [m]."""
@@ -158,14 +168,12 @@ def _scene(
 ) -> Scene:
     camera = spec.camera(name)
     eye = camera.eye.binned(binning)
-    left, right = (
-        renderer.render(world_from_hex.compose(pose), eye, placed)
-        for pose in (camera.hex_from_camera, camera.hex_from_right())
-    )
+    poses = [world_from_hex.compose(pose) for pose in (camera.hex_from_camera, camera.hex_from_right())]
+    left, right = (renderer.render(pose, eye, placed) for pose in poses)
+    shadows = [_shadow(renderer, placed, pose, eye) for pose in poses]
     return Scene(
         robot=spec.name, camera=camera, eye=eye, binning=binning, sun_deg=sun_deg, seed=seed, left=left, right=right,
-        shadow=_shadow(renderer, placed, world_from_hex.compose(camera.hex_from_camera), eye),
-        world_from_hex=world_from_hex, telemetry=_telemetry(spec.name, joints),
+        shadow=shadows[0], right_shadow=shadows[1], world_from_hex=world_from_hex, telemetry=_telemetry(spec.name, joints),
     )  # fmt: skip
 
 
