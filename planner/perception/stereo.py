@@ -107,6 +107,19 @@ class DepthImage:
     t: float
     """when the pair was taken, mission time [s]"""
 
+    def __post_init__(self) -> None:
+        shape = (self.eye.height_px, self.eye.width_px)
+        if self.depth.shape != shape or self.sigma.shape != shape:
+            raise CameraError(
+                f"depth and sigma of {self.camera.name} have shapes {self.depth.shape} and {self.sigma.shape}, need {shape}"
+            )
+        bad = _nonsense(np.ascontiguousarray(self.depth), np.ascontiguousarray(self.sigma))
+        if bad:
+            raise CameraError(
+                f"{bad} pixels of {self.camera.name} have a depth or sigma that is negative, zero or infinite, or a depth without "
+                f"a sigma; unknown pixels must be NaN"
+            )
+
     def points_in_camera(self) -> np.ndarray:
         """A point per pixel in the camera's frame, shape (h, w, 3), NaN where unknown [m]."""
         return np.asarray(self.eye.rays() * self.depth[..., None])
@@ -136,10 +149,23 @@ def match(pair: StereoPair, camera: StereoCamera, *, config: StereoConfig) -> De
     known = (coarse > 0.0) & (coarse >= smallest)
     shift, energy, misfit = _refined(left, right, coarse, known, slack, config)
     sigma_shift = _sigma_disparity(shift, known, energy, misfit, config)
-    known &= sigma_shift <= config.sigma_disparity_max_px
+    known &= (sigma_shift <= config.sigma_disparity_max_px) & (shift > 0.0)
     depth = np.where(known, constant / np.where(known, shift, np.float32(1.0)), np.float32(np.nan)).astype(np.float64)
     sigma = depth**2 * sigma_shift / constant
     return DepthImage(camera=camera, eye=eye, depth=depth, sigma=sigma, grey=left, t=pair.t)
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _nonsense(depth, sigma):
+    """How many pixels would put a hole or a spike into a map: neither unknown nor a positive depth with a positive sigma."""
+    count = 0
+    for v in range(depth.shape[0]):
+        for u in range(depth.shape[1]):
+            d, s = depth[v, u], sigma[v, u]
+            if not np.isnan(d) and not (0.0 < d < np.inf and 0.0 < s < np.inf):
+                count += 1
+    return count
 
 
 def _check(pair: StereoPair, camera: StereoCamera, eye: Pinhole) -> None:
