@@ -77,7 +77,7 @@ class StereoConfig:
     """of the shifts' deviation from their neighbours' mean: noise, slopes and outlines all show there"""
     least_misfit: float = 3.7
     """added to the mean squared misfit, which cut-off or constant pixels lack [grey levels squared]"""
-    sigma_disparity_max_px: float = 1.0
+    sigma_disparity_max_px: float = 0.6
     """where the texture promises less than this the pixel is unknown"""
 
     def __post_init__(self) -> None:
