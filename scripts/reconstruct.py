@@ -47,7 +47,7 @@ from planner.terrain.fusion import FusedTerrain, FusionConfig, TerrainMap
 
 WIDEST_PX = 1600
 """wider images are binned, both eyes alike, until they fit"""
-LEAST_KNOWN = 0.02
+LEAST_KNOWN = 0.05
 """of the pixels with a depth: fewer are chance, as of a pair whose eyes were exchanged"""
 NUMBERS = {
     "focal_px", "hfov_deg", "baseline_m", "height_m", "pitch_down_deg", "cell_m", "cx_px", "cy_px", "right_cx_px",

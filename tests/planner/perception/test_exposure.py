@@ -128,7 +128,7 @@ def test_brackets_that_do_not_belong_together_are_refused(synth):
     with pytest.raises(CameraError, match="one camera and instant"):
         merged([pair, dataclasses.replace(pair, t=6.0)])
     with pytest.raises(CameraError, match="mixes sizes"):
-        merged([pair, dataclasses.replace(pair, left=pair.left[:100])])
+        merged([pair, dataclasses.replace(pair, left=pair.left[:100], right=pair.right[:100])])
     with pytest.raises(CameraError, match="exposure"):
         merged([pair, dataclasses.replace(pair, exposure=0.0)])
     with pytest.raises(ConfigError, match="full_well"):

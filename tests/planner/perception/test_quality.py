@@ -70,7 +70,9 @@ def test_spoilt_eye_is_named_with_its_reason(pair, camera, kind, eye, text):
 
 
 def test_wrong_sizes_are_named(pair, camera):
-    left_only = judge(dataclasses.replace(pair, left=spoilt(pair.left, "size")), camera)
+    odd = dataclasses.replace(pair)
+    object.__setattr__(odd, "left", spoilt(pair.left, "size"))  # types are enforced in tests, not over a link
+    left_only = judge(odd, camera)
     assert left_only.kind == "size"
     assert "left is 100x192, right 256x192" in left_only.reason
     both = dataclasses.replace(pair, left=spoilt(pair.left, "cut"), right=spoilt(pair.right, "cut"))
@@ -155,7 +157,7 @@ def test_no_pair_of_images_makes_a_hole_in_the_map(seed, kind):
 def robot():
     spec = load_spec("sdm_b")
     joints = regular_stance(spec)
-    content = read_toml(named_toml("variants", "full"))
+    content = read_toml(named_toml("variants", "integrated"))
     contacts = stance_wheels_in_hex(spec) - np.array([0.0, 0.0, spec.wheel.radius])
     world_from_hex = SE3.from_translation(np.array([0.0, 0.0, spec.chassis_height]))
     belief = Belief(
@@ -163,7 +165,7 @@ def robot():
         contacts_in_world=world_from_hex.apply(contacts), planted=np.ones(6, dtype=bool), loads=np.full(6, 1400.0),
         interaction=np.zeros((6, 3)), fit_rmse=0.0,
     )  # fmt: skip
-    return Kinematics(spec), planner_config(content, spec, name="full"), belief
+    return Kinematics(spec), planner_config(content, spec, name="integrated"), belief
 
 
 def eyes_after(robot, pairs):
