@@ -113,7 +113,7 @@ def developed(radiance: np.ndarray, exposure: float, *, binning: int, bits: int,
     sigma = np.sqrt(electrons + READ_ELECTRONS**2) / binning
     noisy = electrons + sigma * rng.standard_normal(radiance.shape, dtype=np.float32)
     grey = np.clip(np.rint(noisy * (white / WHITE_ELECTRONS)), 0.0, white)
-    return grey.astype(np.uint8 if bits == 8 else np.uint16)
+    return np.asarray(grey.astype(np.uint8 if bits == 8 else np.uint16))
 
 
 def scenes(
@@ -180,9 +180,9 @@ def _scene(
 def _shadow(renderer: Renderer, placed: PlacedRobot, world_from_left: SE3, eye: Pinhole) -> np.ndarray:
     """Pixels whose surface the sun does not see: behind something, or turned away."""
     directions = world_from_left.rotate(eye.rays()).reshape(-1, 3)
-    sun = renderer._sun[None]  # noqa: SLF001, only the renderer knows what it lit
-    surface = renderer._trace(world_from_left, directions, eye.focal_px, placed, sun)  # noqa: SLF001
-    lit = renderer._lit(surface, placed, sun)  # noqa: SLF001
+    sun = renderer._sun[None]
+    surface = renderer._trace(world_from_left, directions, eye.focal_px, placed, sun)
+    lit = renderer._lit(surface, placed, sun)
     return np.asarray((lit == 0.0).reshape(eye.height_px, eye.width_px))
 
 

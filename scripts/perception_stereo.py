@@ -56,7 +56,7 @@ def pictures(out: Path) -> list[Path]:
 
 
 def standard_errors(scene: Scene, depth: DepthImage) -> np.ndarray:
-    """z of every judged pixel with a depth."""
+    """Z of every judged pixel with a depth."""
     z = (depth.depth - scene.left.depth) / depth.sigma
     return np.asarray(z[_asked(scene) & np.isfinite(z)])
 
@@ -178,7 +178,7 @@ def _reliability(found: Sequence[Scene]) -> bytes:
         axes[1].plot(said, seen, "o-", ms=3, color=colour, label=label)
     axes[0].set(xlabel="share expected within a multiple of sigma", ylabel="share found", title="Reliability of sigma")
     axes[0].set_aspect("equal")
-    low, high = axes[1].get_xlim()
+    _low, high = axes[1].get_xlim()
     axes[1].plot([0, high], [0, high], color="#9ca3af", lw=1)
     axes[1].set(xscale="log", yscale="log", xlabel="sigma said [mm]", ylabel="error, 68 % quantile [mm]", title="Said and found")
     for a in axes:

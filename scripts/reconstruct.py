@@ -119,7 +119,10 @@ def reconstruct(options: Options) -> dict[str, Any]:
     known = np.isfinite(depth.depth)
     if known.mean() < LEAST_KNOWN:
         near, far = file.depth_range
-        raise CameraError(f"{known.mean():.1%} of the pixels have a depth from {near:g} to {far:g} m, need {LEAST_KNOWN:.0%}; is the pair rectified, left and right not exchanged?")
+        raise CameraError(
+            f"{known.mean():.1%} of the pixels have a depth from {near:g} to {far:g} m, need {LEAST_KNOWN:.0%}; "
+            f"is the pair rectified, left and right not exchanged?"
+        )
     terrain = _mapped(depth, file)
     seconds = time.perf_counter() - start
     options.out.mkdir(parents=True, exist_ok=True)

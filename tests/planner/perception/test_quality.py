@@ -81,7 +81,7 @@ def test_wrong_sizes_are_named(pair, camera):
 
 
 def test_limits_outside_their_range_are_refused():
-    with pytest.raises(ConfigError, match="saturated_share is 1.5"):
+    with pytest.raises(ConfigError, match=r"saturated_share is 1\.5"):
         QualityConfig(saturated_share=1.5)
 
 
