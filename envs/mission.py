@@ -235,7 +235,11 @@ class Mission:
         self._charge(agent)
 
     def _ask(self, agent: GroundAgent) -> None:
+        heard = len(agent.unusable_pairs)
         action = agent.next(self.t)
+        if self.recorder:
+            for reason in agent.unusable_pairs[heard:]:
+                self.recorder.ground_says("UnusablePair", reason, self.t)
         self._charge(agent)
         if isinstance(action, Proposal):
             self._coming = action

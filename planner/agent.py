@@ -94,6 +94,8 @@ class GroundAgent:
         self.steps_taken = 0
         self.stepped: Counter[int] = Counter()
         """how often each leg has stepped"""
+        self.unusable_pairs: list[str] = []
+        """why pictures were left out so far, one line each"""
         self.last_plan: StepPlan | None = None
         self._filter = BeliefFilter(self.kin, self.springs, payload_kg=payload_kg, config=config.wheel_fit)
         self._payload, self._timer = payload_kg, timer
@@ -236,6 +238,7 @@ class GroundAgent:
             pairs = [p for p in sent.pairs if p.t == t]
             then = self._filter.update(pairs[0].state)
             correction = self.eyes.take(pairs, then)
+            self.unusable_pairs += [verdict.reason for verdict in self.eyes.unusable]
             self._ground_s += SECONDS_PER_PAIR * len(pairs)
             self._filter.shift_world(correction)
         if sent.pairs:

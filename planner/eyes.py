@@ -1,6 +1,6 @@
 """From stereo pairs to the fused map: the perception half of the ground agent, in data-flow order.
 
-stereo pair -> depth -> depth without the robot's own legs -> aligned to the map -> fused into it
+stereo pair (of a bracket, merged) -> depth -> depth without the robot's own legs -> aligned to the map -> fused into it
 """
 
 from __future__ import annotations
@@ -17,7 +17,9 @@ from athlete_twin.model.appearance import VisualPart, visual_parts
 from athlete_twin.model.kinematics import Kinematics
 from planner.belief import Belief
 from planner.config import PlannerConfig
+from planner.perception.exposure import merged
 from planner.perception.localise import Alignment, align_to_map
+from planner.perception.quality import PairQuality, judge
 from planner.perception.self_clearance import without_hanging_points
 from planner.perception.self_mask import MaskedDepth, remove_self
 from planner.perception.stereo import DepthImage, match
@@ -60,14 +62,18 @@ class Eyes:
         """of the latest set of pictures"""
         self.on_look: Callable[[Look], None] | None = None
         """told of every look, for whoever keeps scores"""
+        self.unusable: list[PairQuality] = []
+        """pairs of the latest set that were left out, with the reasons"""
 
     def take(self, pairs: list[StereoPair], belief: Belief) -> SE3:
         """Fuse one set of pairs taken at the same time; the correction of the world that aligning them gave.
 
         The set is aligned as a whole, since its pairs share the chassis' pose: the points of all of them together are
-        fitted to the map as it was before, then all are fused.
+        fitted to the map as it was before, then all are fused. Exposures of one camera and instant are merged first, and
+        what a camera spoiled is left out: `unusable` has the reasons.
         """
         self.looks = []
+        pairs = self._merged(pairs)
         matched = [self._matched(pair) for pair in pairs]
         masked = [self._masked(pair, depth, belief) for pair, depth in zip(pairs, matched, strict=True)]
         poses = [belief.world_from_hex.compose(depth.camera.hex_from_camera) for depth in matched]
@@ -97,6 +103,23 @@ class Eyes:
         contacts = np.atleast_2d(contacts)
         self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4)
 
+    def _merged(self, pairs: list[StereoPair]) -> list[StereoPair]:
+        """One usable 8-bit pair a camera and instant, in the order in which they came."""
+        self.unusable = []
+        brackets: dict[tuple[str, float], list[StereoPair]] = {}
+        for pair in pairs:
+            brackets.setdefault((pair.camera, pair.t), []).append(pair)
+        out = []
+        with self._timer("exposure"):
+            for exposures in brackets.values():
+                verdicts = [judge(pair, self._kin.spec.camera(pair.camera)) for pair in exposures]
+                self.unusable += [v for v in verdicts if not v.mendable]
+                if any(v.usable for v in verdicts):
+                    out.append(merged([p for p, v in zip(exposures, verdicts, strict=True) if v.mendable]))
+                else:
+                    self.unusable += [v for v in verdicts if v.mendable]
+        return out
+
     def _matched(self, pair: StereoPair) -> DepthImage:
         camera = self._kin.spec.camera(pair.camera).riding(self._kin.link_poses(pair.state.joints))
         with self._timer("stereo"):
@@ -118,7 +141,7 @@ class Eyes:
         return replace(masked, depth=clear)
 
     def _align(self, masked: list[MaskedDepth], poses: list[SE3], before: FusedTerrain) -> Alignment | None:
-        if before.unknown.all():
+        if before.unknown.all() or not masked:
             return None
         clouds = [
             points_in_world(m.depth, pose, config=self._config.fusion) for m, pose in zip(masked, poses, strict=True)

@@ -29,8 +29,13 @@ class Pinhole:
     cy_px: float
 
     def __post_init__(self) -> None:
-        if self.width_px < 8 or self.height_px < 8 or not self.focal_px > 0.0:
-            raise CameraError(f"camera of {self.width_px}x{self.height_px} px, focal {self.focal_px} px is not usable")
+        if self.width_px < 8 or self.height_px < 8 or not (np.isfinite(self.focal_px) and self.focal_px > 0.0):
+            raise CameraError(
+                f"camera of {self.width_px}x{self.height_px} px, focal {self.focal_px} px is not usable; "
+                f"needs 8x8 px or more and a positive focal length"
+            )
+        if not (np.isfinite(self.cx_px) and np.isfinite(self.cy_px)):
+            raise CameraError(f"principal point ({self.cx_px}, {self.cy_px}) px is not finite")
 
     @staticmethod
     def from_fov(width_px: int, height_px: int, hfov: float) -> Pinhole:
@@ -91,6 +96,12 @@ class StereoCamera:
     eye: Pinhole
     link: str = CHASSIS
     """URDF name of the link that carries it"""
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.baseline) and self.baseline > 0.0):
+            raise CameraError(
+                f"baseline of camera {self.name} is {self.baseline} m, must be positive: the right eye sits along the left eye's x"
+            )
 
     @property
     def on_chassis(self) -> bool:

@@ -1,5 +1,6 @@
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
@@ -29,21 +30,55 @@ def test_back_projected_plane_lies_on_the_ground(synth):
     assert abs(np.nanmedian(z)) < 0.005
 
 
-def test_sigma_describes_the_error(synth):
-    camera = synth.looking(1.2, 30.0)
+@pytest.mark.parametrize("noise", [1.0, 3.0])
+@pytest.mark.parametrize("width", [512, 1024])
+def test_sigma_describes_the_error(synth, width, noise):
+    camera = synth.looking(1.2, 30.0, width=width, rows=3 * width // 4)
     scene = synth.Scene()
-    depth = match(scene.pair(camera, HERE), camera, config=StereoConfig())
-    ratio = np.abs(depth.depth - scene.trace(camera.hex_from_camera, camera.eye)[0]) / depth.sigma
-    ratio = ratio[np.isfinite(ratio)]
-    assert 0.3 < np.median(ratio) < 1.4
+    depth = match(scene.pair(camera, HERE, noise=noise), camera, config=StereoConfig())
+    z = np.abs(depth.depth - scene.trace(camera.hex_from_camera, camera.eye)[0]) / depth.sigma
+    z = z[np.isfinite(z)]
+    # A normal error: 0.683 and 0.954. A texture of another kind than the rendered soil that the constants come from.
+    assert 0.55 < np.mean(z < 1.0) < 0.85
+    assert np.mean(z < 2.0) > 0.88
     assert np.array_equal(np.isnan(depth.sigma), np.isnan(depth.depth))
 
 
 def test_sigma_grows_with_the_square_of_depth(synth):
     camera = synth.looking(1.2, 30.0)
-    depth = match(synth.Scene().pair(camera, HERE, noise=0.0), camera, config=StereoConfig(image_noise=1e-6))
+    config = StereoConfig(sigma_floor_px=0.5, noise_gain=0.0, roughness_gain=0.0)
+    depth = match(synth.Scene().pair(camera, HERE, noise=0.0), camera, config=config)
     constant = depth.eye.focal_px * camera.baseline
-    np.testing.assert_allclose(depth.sigma, depth.depth**2 * StereoConfig().sigma_disparity_px / constant, rtol=1e-3)
+    np.testing.assert_allclose(depth.sigma, depth.depth**2 * 0.5 / constant, rtol=1e-3)
+
+
+def test_half_sized_search_finds_what_the_full_one_finds(synth):
+    camera = synth.looking(1.5, 45.0, width=1024, rows=768)
+    scene = synth.Scene([synth.Cylinder(2.0, 0.2, 0.15, 0.0, 0.5)])
+    pair = scene.pair(camera, HERE)
+    truth = scene.trace(camera.hex_from_camera, camera.eye)[0]
+    whole = match(pair, camera, config=StereoConfig(full_width_px=2000))
+    half = match(pair, camera, config=StereoConfig())
+    errors = [np.abs(d.depth - truth) for d in (whole, half)]
+    assert abs(np.isfinite(half.depth).mean() - np.isfinite(whole.depth).mean()) < 0.03
+    assert np.nanmedian(errors[1]) < 1.1 * np.nanmedian(errors[0])
+    assert np.nanquantile(errors[1], 0.98) < 0.05
+
+
+@pytest.mark.parametrize("width", [512, 1024])
+def test_threads_do_not_change_a_byte(synth, width):
+    camera = synth.looking(1.5, 50.0, width=width, rows=3 * width // 4)
+    pair = synth.Scene().pair(camera, HERE)
+    before = cv2.getNumThreads()
+    found = []
+    try:
+        for threads in (1, 2, 4):
+            cv2.setNumThreads(threads)
+            depth = match(pair, camera, config=StereoConfig())
+            found.append(depth.depth.tobytes() + depth.sigma.tobytes())
+    finally:
+        cv2.setNumThreads(before)
+    assert found[0] == found[1] == found[2]
 
 
 def test_binned_pair_gives_the_same_plane(synth):
