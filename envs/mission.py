@@ -235,10 +235,12 @@ class Mission:
         self._charge(agent)
 
     def _ask(self, agent: GroundAgent) -> None:
-        heard = len(agent.unusable_pairs)
+        # An agent without eyes leaves no picture out.
+        unusable: list[str] = getattr(agent, "unusable_pairs", [])
+        heard = len(unusable)
         action = agent.next(self.t)
         if self.recorder:
-            for reason in agent.unusable_pairs[heard:]:
+            for reason in unusable[heard:]:
                 self.recorder.ground_says("UnusablePair", reason, self.t)
         self._charge(agent)
         if isinstance(action, Proposal):

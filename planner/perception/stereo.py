@@ -58,8 +58,8 @@ class StereoConfig:
     """the best cost must beat the second by this much"""
     left_right_px: float = 1.0
     """largest difference between the two directions of matching"""
-    speckle_px: int = 60
-    """islands of fewer pixels are dropped"""
+    speckle_px: int = 100
+    """islands of fewer pixels are dropped: where there is but noise, the search agrees on islands of some dozen"""
     speckle_step_px: float = 1.0
     """disparities of neighbours closer than this belong to one island"""
     refinements: int = 2
@@ -68,8 +68,6 @@ class StereoConfig:
     """of the refinement's Gaussian window"""
     image_noise: float = 2.0
     """of a pixel, one sigma, in grey levels: pixels that misfit by more than four of it are trusted less"""
-    texture_noise: float = 1.5
-    """what noise of this sigma alone would show is no texture [grey levels]"""
     sigma_floor_px: float = 0.01
     """error of the shift on perfect texture, one sigma"""
     noise_gain: float = 0.50
@@ -79,7 +77,7 @@ class StereoConfig:
     """of the shifts' deviation from their neighbours' mean: noise, slopes and outlines all show there"""
     least_misfit: float = 3.7
     """added to the mean squared misfit, which cut-off or constant pixels lack [grey levels squared]"""
-    sigma_disparity_max_px: float = 0.6
+    sigma_disparity_max_px: float = 1.0
     """where the texture promises less than this the pixel is unknown"""
 
     def __post_init__(self) -> None:
@@ -110,10 +108,9 @@ class DepthImage:
     """when the pair was taken, mission time [s]"""
 
     def __post_init__(self) -> None:
-        shape = (self.eye.height_px, self.eye.width_px)
-        if self.depth.shape != shape or self.sigma.shape != shape:
+        if self.depth.shape != self.sigma.shape:
             raise CameraError(
-                f"depth and sigma of {self.camera.name} have shapes {self.depth.shape} and {self.sigma.shape}, need {shape}"
+                f"depth and sigma of {self.camera.name} have shapes {self.depth.shape} and {self.sigma.shape}, must be alike"
             )
         bad = _nonsense(np.ascontiguousarray(self.depth), np.ascontiguousarray(self.sigma))
         if bad:
@@ -362,13 +359,10 @@ def _sigma_disparity(
     shift: np.ndarray, known: np.ndarray, energy: np.ndarray, misfit: np.ndarray, config: StereoConfig
 ) -> np.ndarray:
     """One sigma of the shift [px], from what the least squares left and from how rough the shifts around are."""
-    # Noise alone has gradients too: sobel/8 passes 12/64 of its variance (squares of 1, 2, 1 twice, over 8 squared), and
-    # where the match has aligned it, averaging the eyes takes nothing away.
-    texture = np.maximum(energy - np.float32(12.0 / 64.0 * config.texture_noise**2), np.float32(1e-3))
-    noise = (misfit + np.float32(config.least_misfit)) / (SAMPLES * texture)
+    noise = (misfit + np.float32(config.least_misfit)) / (SAMPLES * np.maximum(energy, np.float32(1e-2)))
     weight = np.maximum(_boxed(known.astype(np.float32)), np.float32(1e-3))
-    own = np.where(known, shift, np.float32(0.0))
-    deviation = np.where(known, _boxed(own) / weight - shift, np.float32(0.0))
+    filled = np.where(known, shift, np.float32(0.0))
+    deviation = np.where(known, _boxed(filled) / weight - shift, np.float32(0.0))
     rough = _boxed(deviation * deviation) / weight
     variance = config.sigma_floor_px**2 + config.noise_gain**2 * noise + config.roughness_gain**2 * rough
     return np.asarray(np.sqrt(variance), dtype=np.float32)
