@@ -41,6 +41,7 @@ from planner.gait.survey import seeing, survey_commands
 from planner.recovery import LOWERINGS, Recovery
 from planner.sag.sag_model import FootSprings
 from planner.sequence import as_sequence, lower_commands, step_commands
+from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
 
 SECONDS_PER_PLAN = 2.0
@@ -110,6 +111,7 @@ class GroundAgent:
         self._recovery = Recovery()
         self._behind = 0.0
         self._surveyed = config.fusion_method == "flat"
+        self._levelled = False
         self._forced_leg: int | None = None
         self._forced_xy: Vec2 | None = None
         self._stopped = ""
@@ -232,6 +234,8 @@ class GroundAgent:
             self._behind = max(0.0, self._behind + regular - advance)
             self._recovery.reset()
         self._belief = self._filter.update(self._telemetry)
+        if sent.pairs and self.config.fusion_method == "single_view":
+            self.eyes.forget(self._belief)
         for t in sorted({p.t for p in sent.pairs}):
             pairs = [p for p in sent.pairs if p.t == t]
             then = self._filter.update(pairs[0].state)
@@ -240,8 +244,16 @@ class GroundAgent:
             self._filter.shift_world(correction)
         if sent.pairs:
             self._belief = self._filter.update(self._telemetry)
+            if not self._levelled:
+                self._level(self._belief, self._telemetry)
         if self.config.fusion_method != "flat":
-            self.eyes.touch(self._belief.contacts_in_world[self._belief.planted])
+            self.eyes.touch(self._belief.contacts_in_world[self._belief.planted], t=self._belief.t)
+
+    def _level(self, belief: Belief, telemetry: Telemetry) -> None:
+        """The first pictures show how deep the wheels stand: chassis and map are lower by that."""
+        self._levelled = True
+        self.eyes.map.lower(self._filter.settle(self.eyes.level(belief), sigma=LEVEL_SIGMA))
+        self._belief = self._filter.update(telemetry)
 
     def _faulted(self, sent: _Sent, fault: Fault) -> None:
         plan = sent.plan

@@ -3,7 +3,8 @@
 Scripts read the TOML file and hand its content here; the planner opens nothing. Top-level keys choose methods:
 
     self_mask = "combined"          # watershed, kinematic, combined, none
-    fusion = "over_time"            # over_time, flat (no pictures: the ground is the plane of the wheels)
+    fusion = "integrated"           # single_view (the map is the latest set of pictures), integrated (of all pictures; also
+                                    # called over_time), flat (no pictures: the ground is the plane of the wheels)
     localisation = "wheels_and_map" # wheels, wheels_and_map
     sag = "springs"                 # none, raise_terrain, springs
     margin = "cps"                  # cps, support, energy
@@ -53,7 +54,7 @@ from planner.terrain.spikes import SpikeConfig
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "self_mask": ("watershed", "kinematic", "combined", "none"),
-    "fusion": ("over_time", "flat"),
+    "fusion": ("single_view", "integrated", "over_time", "flat"),
     "localisation": ("wheels", "wheels_and_map"),
     "sag": ("none", "raise_terrain", "springs"),
     "margin": MARGINS,
@@ -65,6 +66,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "touchdown": ("guarded",),
     "unknown_terrain": ("refuse", "flat"),
 }
+ALIASES = {"over_time": "integrated"}
+"""older names of methods"""
 SETTINGS: dict[str, type] = {
     "stereo": StereoConfig,
     "self_mask": SelfMaskConfig,
@@ -128,7 +131,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
             raise ConfigError(f"variant {name}: key {key!r} is missing; choose one of {', '.join(options)}")
         if content[key] not in options:
             raise ConfigError(f"variant {name}: {key} = {content[key]!r} is not one of {', '.join(options)}")
-        chosen[key] = str(content[key])
+        chosen[key] = ALIASES.get(str(content[key]), str(content[key]))
     level = content.get("level_deck_deg", 0.0)
     if not isinstance(level, int | float) or not np.isfinite(level) or not 0.0 <= level <= 20.0:
         raise ConfigError(f"variant {name}: level_deck_deg = {level!r} is not a number from 0 to 20")

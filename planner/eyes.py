@@ -22,6 +22,7 @@ from planner.perception.self_clearance import without_hanging_points
 from planner.perception.self_mask import MaskedDepth, remove_self
 from planner.perception.stereo import DepthImage, match
 from planner.terrain.fusion import FusedTerrain, TerrainMap, points_in_world
+from planner.terrain.ground_level import ground_over_contacts
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
 UP = np.array([0.0, 0.0, 1.0])
@@ -68,6 +69,7 @@ class Eyes:
         fitted to the map as it was before, then all are fused.
         """
         self.looks = []
+        self.map.follow(float(belief.world_from_hex.translation[0]), float(belief.world_from_hex.translation[1]))
         matched = [self._matched(pair) for pair in pairs]
         masked = [self._masked(pair, depth, belief) for pair, depth in zip(pairs, matched, strict=True)]
         poses = [belief.world_from_hex.compose(depth.camera.hex_from_camera) for depth in matched]
@@ -92,10 +94,19 @@ class Eyes:
                 self.on_look(look)
         return correction
 
-    def touch(self, contacts: np.ndarray) -> None:
-        """The ground under standing wheels is known by touch, shape (n, 3) [m]."""
+    def touch(self, contacts: np.ndarray, *, t: float) -> None:
+        """The ground under standing wheels is known by touch, shape (n, 3) [m], at mission time `t` [s]."""
         contacts = np.atleast_2d(contacts)
-        self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4)
+        self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4, t=t)
+
+    def level(self, belief: Belief) -> float:
+        """How much higher the ground beside the standing wheels was seen than their contacts are believed [m]."""
+        return ground_over_contacts(self.map.fused(), belief.contacts_in_world[belief.planted])
+
+    def forget(self, belief: Belief) -> None:
+        """An empty map round the robot."""
+        x, y = belief.world_from_hex.translation[:2]
+        self.map = TerrainMap.around(float(x), float(y), config=self._config.fusion)
 
     def _matched(self, pair: StereoPair) -> DepthImage:
         camera = self._kin.spec.camera(pair.camera).riding(self._kin.link_poses(pair.state.joints))
