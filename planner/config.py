@@ -42,6 +42,7 @@ from planner.motion.planners import METHODS as LEG_PLANNERS
 from planner.motion.sbl import SblConfig
 from planner.motion.smoothing import SmoothingConfig
 from planner.motion.swing import SwingConfig
+from planner.perception.bundle import BundleConfig
 from planner.perception.localise import AlignConfig, WheelFitConfig
 from planner.perception.self_clearance import SelfClearanceConfig
 from planner.perception.self_mask import SelfMaskConfig
@@ -74,6 +75,7 @@ SETTINGS: dict[str, type] = {
     "self_clearance": SelfClearanceConfig,
     "fusion": FusionConfig,
     "spikes": SpikeConfig,
+    "bundle": BundleConfig,
     "localisation": AlignConfig,
     "wheel_fit": WheelFitConfig,
     "sag": SagConfig,
@@ -106,6 +108,7 @@ class PlannerConfig:
     self_clearance: SelfClearanceConfig
     fusion: FusionConfig
     spikes: SpikeConfig
+    bundle: BundleConfig
     align: AlignConfig
     wheel_fit: WheelFitConfig
     footfall: FootfallConfig
@@ -155,6 +158,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         self_clearance=made["self_clearance"],
         fusion=made["fusion"],
         spikes=made["spikes"],
+        bundle=made["bundle"],
         align=made["localisation"],
         wheel_fit=made["wheel_fit"],
         footfall=made["footfall"],

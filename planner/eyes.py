@@ -1,6 +1,6 @@
 """From stereo pairs to the fused map: the perception half of the ground agent, in data-flow order.
 
-stereo pair -> depth -> depth without the robot's own legs -> aligned to the map -> fused into it
+stereo pair -> depth -> depth without the robot's own legs -> aligned to each other and to the map -> fused into it
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from athlete_twin.model.appearance import VisualPart, visual_parts
 from athlete_twin.model.kinematics import Kinematics
 from planner.belief import Belief
 from planner.config import PlannerConfig
+from planner.perception.bundle import MountCalibration, View
 from planner.perception.localise import Alignment, align_to_map
 from planner.perception.self_clearance import without_hanging_points
 from planner.perception.self_mask import MaskedDepth, remove_self
@@ -57,6 +58,8 @@ class Eyes:
         self._kin, self._config, self._timer = kinematics, config, timer
         self._parts: tuple[VisualPart, ...] = ()
         self.map = TerrainMap.around(0.0, 0.0, config=config.fusion)
+        self.mounts = MountCalibration(tuple(c.name for c in kinematics.spec.cameras), config=config.bundle)
+        """of the cameras, learned from overlaps"""
         self.looks: list[Look] = []
         """of the latest set of pictures"""
         self.on_look: Callable[[Look], None] | None = None
@@ -72,7 +75,8 @@ class Eyes:
         self.map.follow(float(belief.world_from_hex.translation[0]), float(belief.world_from_hex.translation[1]))
         matched = [self._matched(pair) for pair in pairs]
         masked = [self._masked(pair, depth, belief) for pair, depth in zip(pairs, matched, strict=True)]
-        poses = [belief.world_from_hex.compose(depth.camera.hex_from_camera) for depth in matched]
+        with self._timer("bundle"):
+            poses = self._poses(masked, belief)
         correction, alignment = SE3.identity(), None
         if self._config.localisation_method == "wheels_and_map":
             with self._timer("localise"):
@@ -127,6 +131,20 @@ class Eyes:
                 masked.depth, self._kin.spec, links, up_in_hex=up, ground_in_hex=ground, config=self._config.self_clearance
             )
         return replace(masked, depth=clear)
+
+    def _poses(self, masked: list[MaskedDepth], belief: Belief) -> list[SE3]:
+        """`world_from_camera` of a set's pictures, as their overlaps make it."""
+        drawn = [belief.world_from_hex.compose(m.depth.camera.hex_from_camera) for m in masked]
+        names = [m.depth.camera.name for m in masked]
+        poses = [d.compose(self.mounts.correction(n)) for d, n in zip(drawn, names, strict=True)]
+        if self._config.bundle.refine == "none":
+            return drawn
+        views = []
+        for m, name, pose in zip(masked, names, poses, strict=True):
+            points, sigma = points_in_world(m.depth, pose, config=self._config.fusion)
+            views.append(View(camera=name, world_from_camera=pose, points_in_world=points, sigma_z=sigma))
+        self.mounts.refine(views)
+        return [d.compose(self.mounts.correction(n)) for d, n in zip(drawn, names, strict=True)]
 
     def _align(self, masked: list[MaskedDepth], poses: list[SE3], before: FusedTerrain) -> Alignment | None:
         if before.unknown.all():
