@@ -5,7 +5,8 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
     self_mask = "combined"          # watershed, kinematic, combined, none
     fusion = "integrated"           # single_view (the map is the latest set of pictures), integrated (of all pictures; also
                                     # called over_time), flat (no pictures: the ground is the plane of the wheels)
-    localisation = "wheels_and_map" # wheels, wheels_and_map
+    localisation = "filter"         # wheels, wheels_and_map (all is believed that depth aligned to the map says), icp (the same
+                                    # with Open3D's registration), filter (Kalman filter of wheels, attitude and map)
     sag = "springs"                 # none, raise_terrain, springs
     margin = "cps"                  # cps, support, energy
     footfall = "free_volume"        # max_min, plane_fit, free_volume
@@ -44,6 +45,7 @@ from planner.motion.smoothing import SmoothingConfig
 from planner.motion.swing import SwingConfig
 from planner.perception.bundle import BundleConfig
 from planner.perception.localise import AlignConfig, WheelFitConfig
+from planner.perception.pose_filter import PoseFilterConfig
 from planner.perception.self_clearance import SelfClearanceConfig
 from planner.perception.self_mask import SelfMaskConfig
 from planner.perception.stereo import StereoConfig
@@ -56,7 +58,7 @@ from planner.terrain.spikes import SpikeConfig
 CHOICES: dict[str, tuple[str, ...]] = {
     "self_mask": ("watershed", "kinematic", "combined", "none"),
     "fusion": ("single_view", "integrated", "over_time", "flat"),
-    "localisation": ("wheels", "wheels_and_map"),
+    "localisation": ("wheels", "wheels_and_map", "icp", "filter"),
     "sag": ("none", "raise_terrain", "springs"),
     "margin": MARGINS,
     "footfall": ("max_min", "plane_fit", "free_volume"),
@@ -77,6 +79,7 @@ SETTINGS: dict[str, type] = {
     "spikes": SpikeConfig,
     "bundle": BundleConfig,
     "localisation": AlignConfig,
+    "pose_filter": PoseFilterConfig,
     "wheel_fit": WheelFitConfig,
     "sag": SagConfig,
     "footfall": FootfallConfig,
@@ -91,6 +94,8 @@ SETTINGS: dict[str, type] = {
 }
 
 
+WIDE_PRIOR = {"sigma_xy": 0.1, "sigma_z": 0.1, "sigma_tilt": 0.02, "sigma_yaw": 0.03}
+"""of an alignment whose result a filter weighs: what wheels say must not count twice [m], [rad]"""
 CLEARANCE = 0.3
 """of a swinging leg from the terrain, over the wheel's radius: what sag is not foreseen grows with the robot"""
 
@@ -110,6 +115,7 @@ class PlannerConfig:
     spikes: SpikeConfig
     bundle: BundleConfig
     align: AlignConfig
+    pose_filter: PoseFilterConfig
     wheel_fit: WheelFitConfig
     footfall: FootfallConfig
     survey: SurveyConfig
@@ -142,7 +148,9 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
     for stage in own:
         if stage not in SETTINGS:
             raise ConfigError(f"variant {name}: [settings.{stage}] is not known; {_meant(stage, tuple(SETTINGS))}")
-    extra = {"level_deck_deg": float(level), "terrain_clearance": CLEARANCE * spec.wheel.radius}
+    extra: dict[str, float] = {"level_deck_deg": float(level), "terrain_clearance": CLEARANCE * spec.wheel.radius}
+    if chosen["localisation"] == "filter":
+        extra |= WIDE_PRIOR
     made = {
         stage: _settings(name, stage, own.get(stage, {}), chosen.get(stage), extra)
         for stage in SETTINGS
@@ -160,6 +168,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         spikes=made["spikes"],
         bundle=made["bundle"],
         align=made["localisation"],
+        pose_filter=made["pose_filter"],
         wheel_fit=made["wheel_fit"],
         footfall=made["footfall"],
         survey=made["survey"],

@@ -12,13 +12,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.messages import StereoPair
+from athlete_twin.messages import StereoPair, Telemetry
 from athlete_twin.model.appearance import VisualPart, visual_parts
 from athlete_twin.model.kinematics import Kinematics
 from planner.belief import Belief
 from planner.config import PlannerConfig
 from planner.perception.bundle import MountCalibration, View
+from planner.perception.icp import align_by_icp
 from planner.perception.localise import Alignment, align_to_map
+from planner.perception.pose_filter import PoseFilter
 from planner.perception.self_clearance import without_hanging_points
 from planner.perception.self_mask import MaskedDepth, remove_self
 from planner.perception.stereo import DepthImage, match
@@ -60,6 +62,9 @@ class Eyes:
         self.map = TerrainMap.around(0.0, 0.0, config=config.fusion)
         self.mounts = MountCalibration(tuple(c.name for c in kinematics.spec.cameras), config=config.bundle)
         """of the cameras, learned from overlaps"""
+        self.filter = PoseFilter(config=config.pose_filter)
+        """of the chassis' error, for the localisation of that name"""
+        self._moved = False
         self.looks: list[Look] = []
         """of the latest set of pictures"""
         self.on_look: Callable[[Look], None] | None = None
@@ -78,11 +83,9 @@ class Eyes:
         with self._timer("bundle"):
             poses = self._poses(masked, belief)
         correction, alignment = SE3.identity(), None
-        if self._config.localisation_method == "wheels_and_map":
+        if self._config.localisation_method != "wheels":
             with self._timer("localise"):
-                alignment = self._align(masked, poses, self.map.fused())
-            if alignment is not None and alignment.accepted:
-                correction = alignment.correction
+                correction, alignment = self._located(masked, poses, pairs[0].state, belief)
         with self._timer("fuse"):
             for pair, full, depth, pose in zip(pairs, matched, masked, poses, strict=True):
                 world_from_camera = correction.compose(pose)
@@ -146,6 +149,25 @@ class Eyes:
         self.mounts.refine(views)
         return [d.compose(self.mounts.correction(n)) for d, n in zip(drawn, names, strict=True)]
 
+    def _located(
+        self, masked: list[MaskedDepth], poses: list[SE3], telemetry: Telemetry, belief: Belief
+    ) -> tuple[SE3, Alignment | None]:
+        """`world_from_believed` by the chosen method, and the alignment it rests on."""
+        pose = belief.world_from_hex
+        if self._config.localisation_method == "filter":
+            if self._moved:
+                self.filter.moved(
+                    belief.contacts_in_world, pose.translation, planted=belief.planted, fit_rmse=belief.fit_rmse
+                )
+            self._moved = True
+            self.filter.attitude(pose, telemetry.attitude_rpy)
+        alignment = self._align(masked, poses, self.map.fused())
+        if alignment is None:
+            return SE3.identity(), None
+        if self._config.localisation_method == "filter":
+            return self.filter.aligned(alignment, pose.translation), alignment
+        return alignment.correction, alignment
+
     def _align(self, masked: list[MaskedDepth], poses: list[SE3], before: FusedTerrain) -> Alignment | None:
         if before.unknown.all():
             return None
@@ -156,4 +178,5 @@ class Eyes:
         sigma = np.concatenate([s for _, s in clouds])
         if len(points) == 0:
             return None
-        return align_to_map(points, before, sigma_z=sigma, config=self._config.align)
+        align = align_by_icp if self._config.localisation_method == "icp" else align_to_map
+        return align(points, before, sigma_z=sigma, config=self._config.align)
