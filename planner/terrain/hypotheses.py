@@ -101,7 +101,7 @@ def pass_through(
         measured: flat indices of cells that the same view measured: they are left alone.
         layout: the cells.
         margin: a ray counts when it passes so far below the believed height [m].
-        gate_sigma: and so many sigma.
+        gate_sigma: and so many sigma, these at most twice the margin.
         least_rays: fewer are chance.
     """
     if len(points) == 0 or not np.isfinite(state.height).any():
@@ -190,7 +190,8 @@ def _pass_through(
             if c == last:
                 continue
             last = c
-            if height[c] - z > margin + gate * np.sqrt(variance[c]):
+            # A steep cell's wide variance does not shield it: it says where in the cell the rock stands, not how high.
+            if height[c] - z > margin + min(gate * np.sqrt(variance[c]), 2.0 * margin):
                 hits[c] += 1
     for c in measured:
         hits[c] = 0
