@@ -17,8 +17,10 @@ from athlete_twin.link import DelayedLink, downlink, uplink
 from athlete_twin.model.spec import RobotSpec, load_spec
 from athlete_twin.robot import ViewTruth
 from athlete_twin.world.scenario import load_scenario
-from envs.build import ground_agent, twin
+from envs.build import twin, variant_content
 from envs.mission import Mission
+from planner.agent import GroundAgent
+from planner.config import planner_config
 from planner.decisions import scripted_operator
 from planner.eyes import Look
 from planner.terrain.fusion import FusedTerrain
@@ -86,7 +88,10 @@ def walk(robot: str, scene: int, *, steps: int, variant: str = "integrated") -> 
     sun = float(np.deg2rad(SUN_DEG[scene % len(SUN_DEG)]))
     scenario = replace(load_scenario("rock_field"), sun_elevation=sun)
     pixels, operator = LegPixels(), scripted_operator("approve_all")
-    agent = ground_agent(spec, variant, goal=(GOAL, 0.0), seed=scene, on_look=pixels.looked)
+    path, content = variant_content(variant)
+    config = planner_config(content, spec, name=path.stem)
+    agent = GroundAgent(spec, config, goal_in_world=np.array([GOAL, 0.0]), seed=scene)
+    agent.eyes.on_look = pixels.looked
     body, truth = twin(spec, scenario, scene)
     try:
         body.on_view = pixels.saw
@@ -113,7 +118,7 @@ def walk(robot: str, scene: int, *, steps: int, variant: str = "integrated") -> 
                 mission.answer(decision, seconds=seconds)
         return Walk(
             spec=spec, steps=sum(agent.stepped.values()), ended=ended, t=mission.t, truth=truth,
-            terrain=without_spikes(agent.eyes.map.fused(), config=agent.config.spikes), datum=datum, world_from_hex=body.truth().world_from_hex,
+            terrain=without_spikes(agent.eyes.map.fused(), config=config.spikes), datum=datum, world_from_hex=body.truth().world_from_hex,
             localisation_errors=np.array(errors),
             slipped=np.concatenate([np.zeros((0, 3)), *pixels.points]),
         )  # fmt: skip

@@ -3,7 +3,8 @@
 The peer of `localise.align_to_map`, with the same cells and the same gates; chosen by `localisation = "icp"`. Point pairs know
 no prior, so on bare ground the sideways motion is whatever the pairs' noise says.
 
-Measured on the same looks (table in the README): see there which is the better one; it is the default.
+Measured on the same looks of one walk a robot (14 sets of pictures, seed 101): mean error of the chassis 0.9 cm (SDM-B) and
+1.2 cm (T12) in 117 and 196 ms a set; the own Gauss-Newton has 0.9 and 1.0 cm in 52 and 79 ms and is the default.
 """
 
 from __future__ import annotations

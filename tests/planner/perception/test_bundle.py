@@ -130,7 +130,7 @@ def test_the_gauge_is_fixed_by_the_prior():
 
 
 def test_wrong_settings_are_refused():
-    with pytest.raises(ConfigError, match="mount_shift and mount_turn_deg are 0.0 and 0.2"):
+    with pytest.raises(ConfigError, match=r"mount_shift and mount_turn_deg are 0.0 and 0.2"):
         BundleConfig(mount_shift=0.0)
     with pytest.raises(ConfigError, match="refine 'all' is not one of mountings, none"):
         BundleConfig(refine="all")

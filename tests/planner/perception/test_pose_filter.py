@@ -97,7 +97,7 @@ def test_wheels_in_disagreement_are_worth_less():
 
 
 def test_wrong_settings_are_refused():
-    with pytest.raises(ConfigError, match="wheel_sigma is 0.0, must be positive"):
+    with pytest.raises(ConfigError, match=r"wheel_sigma is 0.0, must be positive"):
         PoseFilterConfig(wheel_sigma=0.0)
-    with pytest.raises(ConfigError, match="gate is 1.5, must be within 0.5 to 1"):
+    with pytest.raises(ConfigError, match=r"gate is 1.5, must be within 0.5 to 1"):
         PoseFilterConfig(gate=1.5)

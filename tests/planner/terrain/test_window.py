@@ -59,7 +59,7 @@ def test_moving_the_window_changes_no_height_inside_it():
 
 
 def test_a_window_that_would_never_or_always_move_is_refused():
-    with pytest.raises(ConfigError, match="follow_fraction is 0.7, must be above 0 and below 0.5"):
+    with pytest.raises(ConfigError, match=r"follow_fraction is 0.7, must be above 0 and below 0.5"):
         FusionConfig(follow_fraction=0.7)
     with pytest.raises(ConfigError, match="passed_rays and ray_stride are 3 and 0"):
         FusionConfig(ray_stride=0)
