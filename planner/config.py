@@ -3,8 +3,9 @@
 Scripts read the TOML file and hand its content here; the planner opens nothing. Top-level keys choose methods:
 
     self_mask = "combined"          # watershed, kinematic, combined, none
-    fusion = "integrated"           # single_view (the map is the latest set of pictures), integrated (of all pictures; also
-                                    # called over_time), flat (no pictures: the ground is the plane of the wheels)
+    fusion = "integrated"           # single_view (the map is the latest set of pictures), lift_and_image (2010: the next
+                                    # leg lifts, the map is the pictures since), integrated (of all pictures; also called
+                                    # over_time), flat (no pictures: the ground is the plane of the wheels)
     localisation = "filter"         # wheels, wheels_and_map (all is believed that depth aligned to the map says), icp (the same
                                     # with Open3D's registration), filter (Kalman filter of wheels, attitude and map)
     sag = "springs"                 # none, raise_terrain, springs
@@ -57,7 +58,7 @@ from planner.terrain.spikes import SpikeConfig
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "self_mask": ("watershed", "kinematic", "combined", "none"),
-    "fusion": ("single_view", "integrated", "over_time", "flat"),
+    "fusion": ("single_view", "lift_and_image", "integrated", "over_time", "flat"),
     "localisation": ("wheels", "wheels_and_map", "icp", "filter"),
     "sag": ("none", "raise_terrain", "springs"),
     "margin": MARGINS,
