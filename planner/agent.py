@@ -22,6 +22,7 @@ from athlete_twin.messages import (
     Fault,
     ImageRequest,
     JointMove,
+    LegMove,
     Message,
     Receipt,
     StereoPair,
@@ -41,6 +42,7 @@ from planner.gait.survey import seeing, survey_commands
 from planner.recovery import LOWERINGS, Recovery
 from planner.sag.sag_model import FootSprings
 from planner.sequence import as_sequence, lower_commands, step_commands
+from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
 
 SECONDS_PER_PLAN = 2.0
@@ -66,6 +68,8 @@ class _Sent:
     sequence: CommandSequence
     plan: StepPlan | None
     pairs_awaited: int
+    lift: StepPlan | None = None
+    """the step of which only the lift-off was sent, to see what its leg hid"""
     pairs: list[StereoPair] = field(default_factory=list)
     heard: bool = False
     """whether any receipt for it has come down"""
@@ -105,6 +109,7 @@ class GroundAgent:
         self._sent: _Sent | None = None
         self._proposal: Proposal | None = None
         self._plan: StepPlan | None = None
+        self._lift: StepPlan | None = None
         self._attempt: StepPlan | None = None
         self._ground_s = 0.0
         self._sequence_id = 0
@@ -112,6 +117,7 @@ class GroundAgent:
         self._recovery = Recovery()
         self._behind = 0.0
         self._surveyed = config.fusion_method == "flat"
+        self._levelled = False
         self._forced_leg: int | None = None
         self._forced_xy: Vec2 | None = None
         self._stopped = ""
@@ -181,17 +187,19 @@ class GroundAgent:
             return None
         if decision.kind == "wait":
             return None
+        lift, self._lift = self._lift, None
         self._proposal, self._plan = None, None
         if decision.kind == "approve":
-            return self._send(replace(proposal.sequence, t=t), plan)
+            return self._send(replace(proposal.sequence, t=t), plan, lift=lift)
         if decision.kind == "reject":
-            if plan is None:
+            refused = plan or lift
+            if refused is None:
                 self._surveyed, self._recovery.retreat = True, None
             else:
-                self._recovery.refuse(plan)
+                self._recovery.refuse(refused)
         elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
-            if plan is None:  # a look around or a way back has no footfall: the proposal comes again
-                self._proposal = proposal
+            if plan is None:  # a look around, a lift-off or a way back has no footfall: the proposal comes again
+                self._proposal, self._lift = proposal, lift
                 return None
             self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
             self._forced_leg = plan.leg
@@ -208,9 +216,11 @@ class GroundAgent:
 
     def _completed(self, index: int) -> None:
         """Keep track of which wheel stands while the receipts come in."""
-        if self._sent is None or self._sent.plan is None:
+        if self._sent is None:
             return
-        plan, commands = self._sent.plan, self._sent.sequence.commands
+        plan, commands = self._sent.plan or self._sent.lift, self._sent.sequence.commands
+        if plan is None:
+            return
         command = commands[index]
         guard = getattr(command, "guard", "none")
         if guard == "break_contact":
@@ -234,6 +244,9 @@ class GroundAgent:
             self._behind = max(0.0, self._behind + regular - advance)
             self._recovery.reset()
         self._belief = self._filter.update(self._telemetry)
+        fresh = self.config.fusion_method
+        if sent.pairs and (fresh == "single_view" or (fresh == "lift_and_image" and sent.lift is not None)):
+            self.eyes.forget(self._belief)
         for t in sorted({p.t for p in sent.pairs}):
             pairs = [p for p in sent.pairs if p.t == t]
             then = self._filter.update(pairs[0].state)
@@ -243,11 +256,19 @@ class GroundAgent:
             self._filter.shift_world(correction)
         if sent.pairs:
             self._belief = self._filter.update(self._telemetry)
+            if not self._levelled:
+                self._level(self._belief, self._telemetry)
         if self.config.fusion_method != "flat":
-            self.eyes.touch(self._belief.contacts_in_world[self._belief.planted])
+            self.eyes.touch(self._belief.contacts_in_world[self._belief.planted], t=self._belief.t)
+
+    def _level(self, belief: Belief, telemetry: Telemetry) -> None:
+        """The first pictures show how deep the wheels stand: chassis and map are lower by that."""
+        self._levelled = True
+        self.eyes.map.lower(self._filter.settle(self.eyes.level(belief), sigma=LEVEL_SIGMA))
+        self._belief = self._filter.update(telemetry)
 
     def _faulted(self, sent: _Sent, fault: Fault) -> None:
-        plan = sent.plan
+        plan = sent.plan or sent.lift
         if plan is None or self._telemetry is None:
             self._surveyed = True
             self._recovery.attempts += 1
@@ -314,6 +335,8 @@ class GroundAgent:
                 )  # fmt: skip
             if isinstance(found, StepPlan):
                 self._forced_leg = None
+                if self.config.fusion_method == "lift_and_image" and found.lift_in_hex is not None:
+                    return self._lift_first(found, belief, ground, t)
                 return self._as_proposal(found, belief, ground, t)
             refused.update(found.refused)
             reasons.append(found.reason)
@@ -386,6 +409,31 @@ class GroundAgent:
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
             text=f"leg {plan.leg + 1} struck something: back the way it came, and a look",
+        )  # fmt: skip
+        return self._proposal
+
+    def _lift_first(self, plan: StepPlan, belief: Belief, ground: Ground, t: float) -> Action:
+        """The leg's lift-off alone, and pictures of what it hid: the step is planned on them, from where the leg then is.
+
+        The lift-off is that of a step which passed every check on the map as it was, [SunSpiral2012] s5.2.1. A step that is
+        not found then brings the leg down where it stood.
+        """
+        if plan.lift_in_hex is None:
+            return self._as_proposal(plan, belief, ground, t)
+        everything = tuple(c.name for c in self.spec.cameras)
+        commands: list[Command] = [LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact")]
+        preview = np.repeat(belief.joints[None], 2, axis=0)
+        preview[1, plan.leg] = plan.swing[0]
+        self._plan, self._lift = None, plan
+        self._proposal = Proposal(
+            index=self._next_proposal(), t=t, kind="shift", leg=plan.leg,
+            footfall_in_world=belief.contacts_in_world[plan.leg].copy(),
+            sequence=self._as_sequence(commands, t, cameras=everything),
+            preview_joints=preview, preview_world_from_hex=(belief.world_from_hex,) * 2,
+            terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
+            cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
+            world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
+            text=f"leg {plan.leg + 1} lifts off, and pictures of what it hid",
         )  # fmt: skip
         return self._proposal
 
@@ -498,11 +546,13 @@ class GroundAgent:
         self._sequence_id += 1
         return sequence
 
-    def _send(self, sequence: CommandSequence, plan: StepPlan | None) -> CommandSequence:
+    def _send(
+        self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None
+    ) -> CommandSequence:
         awaited = sum(len(c.cameras) for c in sequence.commands if isinstance(c, ImageRequest))
-        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited)
-        if plan is not None:
-            self._attempt = plan
+        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift)
+        if plan is not None or lift is not None:
+            self._attempt = plan or lift
         if any(isinstance(c, JointMove) for c in sequence.commands):
             self._recovery.retreat = None
         return sequence

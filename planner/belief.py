@@ -57,7 +57,7 @@ class BeliefFilter:
         self._weight = (kinematics.spec.mass + payload_kg) * GRAVITY
         self._contacts: Wheels | None = None
         self._planted = np.ones(LEGS, dtype=bool)
-        self._correction = SE3.identity()
+        self._sink, self._sink_variance = config.sink, config.sink_sigma**2
 
     @property
     def planted(self) -> PerLegFlag:
@@ -75,6 +75,22 @@ class BeliefFilter:
             if self._contacts is not None:
                 self._contacts[leg] = np.nan
 
+    def settle(self, by: float, *, sigma: float) -> float:
+        """Pictures say that the wheels stand so much deeper than believed; by how much they now are believed to [m].
+
+        What a tyre gives way more than believed, and what soil does, cannot be felt; the ground beside the wheels shows it
+        (`terrain.ground_level`). Axles, and with them the chassis, are lower by what comes back; contacts stay what they
+        are: the ground's surface under the wheels.
+
+        Args:
+            by: seen [m].
+            sigma: of what was seen [m].
+        """
+        gain = self._sink_variance / (self._sink_variance + sigma**2)
+        self._sink += gain * by
+        self._sink_variance *= 1.0 - gain
+        return gain * by
+
     def shift_world(self, correction: SE3) -> None:
         """The map says that robot and anchors are elsewhere: `world_from_believed`."""
         if self._contacts is not None:
@@ -89,7 +105,7 @@ class BeliefFilter:
         if self._contacts is not None:
             standing &= np.isfinite(self._contacts).all(axis=1)
         loads = self._loads(telemetry.joints, gravity, self._planted)
-        drop = self._kin.spec.wheel.radius - loads / self._kin.spec.believed_tyre_stiffness
+        drop = self._kin.spec.wheel.radius - loads / self._kin.spec.believed_tyre_stiffness - self._sink
         if self._contacts is None:
             level = tilt.apply(wheels)
             height = -float(np.mean(level[:, 2] - drop))

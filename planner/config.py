@@ -3,8 +3,11 @@
 Scripts read the TOML file and hand its content here; the planner opens nothing. Top-level keys choose methods:
 
     self_mask = "combined"          # flatten, kinematic, watershed, combined, none
-    fusion = "over_time"            # over_time, flat (no pictures: the ground is the plane of the wheels)
-    localisation = "wheels_and_map" # wheels, wheels_and_map
+    fusion = "integrated"           # single_view (the map is the latest set of pictures), lift_and_image (2010: the next
+                                    # leg lifts, the map is the pictures since), integrated (of all pictures; also called
+                                    # over_time), flat (no pictures: the ground is the plane of the wheels)
+    localisation = "filter"         # wheels, wheels_and_map (all is believed that depth aligned to the map says), icp (the same
+                                    # with Open3D's registration), filter (Kalman filter of wheels, attitude and map)
     sag = "springs"                 # none, raise_terrain, springs
     margin = "cps"                  # cps, support, energy
     footfall = "free_volume"        # max_min, plane_fit, free_volume
@@ -41,7 +44,9 @@ from planner.motion.planners import METHODS as LEG_PLANNERS
 from planner.motion.sbl import SblConfig
 from planner.motion.smoothing import SmoothingConfig
 from planner.motion.swing import SwingConfig
+from planner.perception.bundle import BundleConfig
 from planner.perception.localise import AlignConfig, WheelFitConfig
+from planner.perception.pose_filter import PoseFilterConfig
 from planner.perception.self_clearance import SelfClearanceConfig
 from planner.perception.self_mask import METHODS as SELF_MASKS
 from planner.perception.self_mask import SelfMaskConfig
@@ -54,8 +59,8 @@ from planner.terrain.spikes import SpikeConfig
 
 CHOICES: dict[str, tuple[str, ...]] = {
     "self_mask": SELF_MASKS,
-    "fusion": ("over_time", "flat"),
-    "localisation": ("wheels", "wheels_and_map"),
+    "fusion": ("single_view", "lift_and_image", "integrated", "over_time", "flat"),
+    "localisation": ("wheels", "wheels_and_map", "icp", "filter"),
     "sag": ("none", "raise_terrain", "springs"),
     "margin": MARGINS,
     "footfall": ("max_min", "plane_fit", "free_volume"),
@@ -66,13 +71,17 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "touchdown": ("guarded",),
     "unknown_terrain": ("refuse", "flat"),
 }
+ALIASES = {"over_time": "integrated"}
+"""older names of methods"""
 SETTINGS: dict[str, type] = {
     "stereo": StereoConfig,
     "self_mask": SelfMaskConfig,
     "self_clearance": SelfClearanceConfig,
     "fusion": FusionConfig,
     "spikes": SpikeConfig,
+    "bundle": BundleConfig,
     "localisation": AlignConfig,
+    "pose_filter": PoseFilterConfig,
     "wheel_fit": WheelFitConfig,
     "sag": SagConfig,
     "footfall": FootfallConfig,
@@ -87,6 +96,8 @@ SETTINGS: dict[str, type] = {
 }
 
 
+WIDE_PRIOR = {"sigma_xy": 0.1, "sigma_z": 0.1, "sigma_tilt": 0.02, "sigma_yaw": 0.03}
+"""of an alignment whose result a filter weighs: what wheels say must not count twice [m], [rad]"""
 CLEARANCE = 0.3
 """of a swinging leg from the terrain, over the wheel's radius: what sag is not foreseen grows with the robot"""
 
@@ -104,7 +115,9 @@ class PlannerConfig:
     self_clearance: SelfClearanceConfig
     fusion: FusionConfig
     spikes: SpikeConfig
+    bundle: BundleConfig
     align: AlignConfig
+    pose_filter: PoseFilterConfig
     wheel_fit: WheelFitConfig
     footfall: FootfallConfig
     survey: SurveyConfig
@@ -129,7 +142,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
             raise ConfigError(f"variant {name}: key {key!r} is missing; choose one of {', '.join(options)}")
         if content[key] not in options:
             raise ConfigError(f"variant {name}: {key} = {content[key]!r} is not one of {', '.join(options)}")
-        chosen[key] = str(content[key])
+        chosen[key] = ALIASES.get(str(content[key]), str(content[key]))
     level = content.get("level_deck_deg", 0.0)
     if not isinstance(level, int | float) or not np.isfinite(level) or not 0.0 <= level <= 20.0:
         raise ConfigError(f"variant {name}: level_deck_deg = {level!r} is not a number from 0 to 20")
@@ -137,7 +150,9 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
     for stage in own:
         if stage not in SETTINGS:
             raise ConfigError(f"variant {name}: [settings.{stage}] is not known; {_meant(stage, tuple(SETTINGS))}")
-    extra = {"level_deck_deg": float(level), "terrain_clearance": CLEARANCE * spec.wheel.radius}
+    extra: dict[str, float] = {"level_deck_deg": float(level), "terrain_clearance": CLEARANCE * spec.wheel.radius}
+    if chosen["localisation"] == "filter":
+        extra |= WIDE_PRIOR
     made = {
         stage: _settings(name, stage, own.get(stage, {}), chosen.get(stage), extra)
         for stage in SETTINGS
@@ -153,7 +168,9 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         self_clearance=made["self_clearance"],
         fusion=made["fusion"],
         spikes=made["spikes"],
+        bundle=made["bundle"],
         align=made["localisation"],
+        pose_filter=made["pose_filter"],
         wheel_fit=made["wheel_fit"],
         footfall=made["footfall"],
         survey=made["survey"],

@@ -1,6 +1,7 @@
 """From stereo pairs to the fused map: the perception half of the ground agent, in data-flow order.
 
-stereo pair (of a bracket, merged) -> depth -> depth without the robot's own legs -> aligned to the map -> fused into it
+stereo pair (of a bracket, merged) -> depth -> depth without the robot's own legs -> aligned to each other and to the map
+-> fused into it
 """
 
 from __future__ import annotations
@@ -12,18 +13,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.messages import StereoPair
+from athlete_twin.messages import StereoPair, Telemetry
 from athlete_twin.model.appearance import VisualPart, visual_parts
 from athlete_twin.model.kinematics import Kinematics
 from planner.belief import Belief
 from planner.config import PlannerConfig
+from planner.perception.bundle import MountCalibration, View
 from planner.perception.exposure import merged
+from planner.perception.icp import align_by_icp
 from planner.perception.localise import Alignment, align_to_map
+from planner.perception.pose_filter import PoseFilter
 from planner.perception.quality import PairQuality, judge
 from planner.perception.self_clearance import without_hanging_points
 from planner.perception.self_mask import MaskedDepth, remove_self
 from planner.perception.stereo import DepthImage, match
 from planner.terrain.fusion import FusedTerrain, TerrainMap, points_in_world
+from planner.terrain.ground_level import ground_over_contacts
 
 StageTimer = Callable[[str], AbstractContextManager[None]]
 UP = np.array([0.0, 0.0, 1.0])
@@ -58,6 +63,11 @@ class Eyes:
         self._kin, self._config, self._timer = kinematics, config, timer
         self._parts: tuple[VisualPart, ...] = ()
         self.map = TerrainMap.around(0.0, 0.0, config=config.fusion)
+        self.mounts = MountCalibration(tuple(c.name for c in kinematics.spec.cameras), config=config.bundle)
+        """of the cameras, learned from overlaps"""
+        self.filter = PoseFilter(config=config.pose_filter)
+        """of the chassis' error, for the localisation of that name"""
+        self._moved = False
         self.looks: list[Look] = []
         """of the latest set of pictures"""
         self.on_look: Callable[[Look], None] | None = None
@@ -73,16 +83,18 @@ class Eyes:
         what a camera spoiled is left out: `unusable` has the reasons.
         """
         self.looks = []
+        self.map.follow(float(belief.world_from_hex.translation[0]), float(belief.world_from_hex.translation[1]))
         pairs = self._merged(pairs)
+        if not pairs:
+            return SE3.identity()
         matched = [self._matched(pair) for pair in pairs]
         masked = [self._masked(pair, depth, belief) for pair, depth in zip(pairs, matched, strict=True)]
-        poses = [belief.world_from_hex.compose(depth.camera.hex_from_camera) for depth in matched]
+        with self._timer("bundle"):
+            poses = self._poses(masked, belief)
         correction, alignment = SE3.identity(), None
-        if self._config.localisation_method == "wheels_and_map":
+        if self._config.localisation_method != "wheels":
             with self._timer("localise"):
-                alignment = self._align(masked, poses, self.map.fused())
-            if alignment is not None and alignment.accepted:
-                correction = alignment.correction
+                correction, alignment = self._located(masked, poses, pairs[0].state, belief)
         with self._timer("fuse"):
             for pair, full, depth, pose in zip(pairs, matched, masked, poses, strict=True):
                 world_from_camera = correction.compose(pose)
@@ -98,10 +110,19 @@ class Eyes:
                 self.on_look(look)
         return correction
 
-    def touch(self, contacts: np.ndarray) -> None:
-        """The ground under standing wheels is known by touch, shape (n, 3) [m]."""
+    def touch(self, contacts: np.ndarray, *, t: float) -> None:
+        """The ground under standing wheels is known by touch, shape (n, 3) [m], at mission time `t` [s]."""
         contacts = np.atleast_2d(contacts)
-        self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4)
+        self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4, t=t)
+
+    def level(self, belief: Belief) -> float:
+        """How much higher the ground beside the standing wheels was seen than their contacts are believed [m]."""
+        return ground_over_contacts(self.map.fused(), belief.contacts_in_world[belief.planted])
+
+    def forget(self, belief: Belief) -> None:
+        """An empty map round the robot."""
+        x, y = belief.world_from_hex.translation[:2]
+        self.map = TerrainMap.around(float(x), float(y), config=self._config.fusion)
 
     def _merged(self, pairs: list[StereoPair]) -> list[StereoPair]:
         """One usable 8-bit pair a camera and instant, in the order in which they came."""
@@ -140,6 +161,39 @@ class Eyes:
             )
         return replace(masked, depth=clear)
 
+    def _poses(self, masked: list[MaskedDepth], belief: Belief) -> list[SE3]:
+        """`world_from_camera` of a set's pictures, as their overlaps make it."""
+        drawn = [belief.world_from_hex.compose(m.depth.camera.hex_from_camera) for m in masked]
+        names = [m.depth.camera.name for m in masked]
+        poses = [d.compose(self.mounts.correction(n)) for d, n in zip(drawn, names, strict=True)]
+        if self._config.bundle.refine == "none":
+            return drawn
+        views = []
+        for m, name, pose in zip(masked, names, poses, strict=True):
+            points, sigma = points_in_world(m.depth, pose, config=self._config.fusion)
+            views.append(View(camera=name, world_from_camera=pose, points_in_world=points, sigma_z=sigma))
+        self.mounts.refine(views)
+        return [d.compose(self.mounts.correction(n)) for d, n in zip(drawn, names, strict=True)]
+
+    def _located(
+        self, masked: list[MaskedDepth], poses: list[SE3], telemetry: Telemetry, belief: Belief
+    ) -> tuple[SE3, Alignment | None]:
+        """`world_from_believed` by the chosen method, and the alignment it rests on."""
+        pose = belief.world_from_hex
+        if self._config.localisation_method == "filter":
+            if self._moved:
+                self.filter.moved(
+                    belief.contacts_in_world, pose.translation, planted=belief.planted, fit_rmse=belief.fit_rmse
+                )
+            self._moved = True
+            self.filter.attitude(pose, telemetry.attitude_rpy)
+        alignment = self._align(masked, poses, self.map.fused())
+        if alignment is None:
+            return SE3.identity(), None
+        if self._config.localisation_method == "filter":
+            return self.filter.aligned(alignment, pose.translation), alignment
+        return alignment.correction, alignment
+
     def _align(self, masked: list[MaskedDepth], poses: list[SE3], before: FusedTerrain) -> Alignment | None:
         if before.unknown.all() or not masked:
             return None
@@ -150,4 +204,5 @@ class Eyes:
         sigma = np.concatenate([s for _, s in clouds])
         if len(points) == 0:
             return None
-        return align_to_map(points, before, sigma_z=sigma, config=self._config.align)
+        align = align_by_icp if self._config.localisation_method == "icp" else align_to_map
+        return align(points, before, sigma_z=sigma, config=self._config.align)

@@ -33,9 +33,14 @@ class WheelFitConfig:
     outlier_sigma: float = 2.5
     """a wheel that misses its anchor by more counts less (Huber): it slipped"""
     iterations: int = 8
+    sink: float = 0.0175
+    """by which the wheels stand deeper than the tyres' belief says, before pictures tell more: tyres that give way more,
+    and soil; mean of the starts of three walks of each robot, seeds 100 to 102 [m]"""
+    sink_sigma: float = 0.007
+    """of it, from ground to ground; those starts scatter by 3 mm, on one soil [m]"""
 
     def __post_init__(self) -> None:
-        for name in ("anchor_sigma", "attitude_sigma", "outlier_sigma"):
+        for name in ("anchor_sigma", "attitude_sigma", "outlier_sigma", "sink_sigma"):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"{name} is {getattr(self, name)}, must be positive")
 
@@ -101,6 +106,11 @@ class Alignment:
     accepted: bool
     reason: str
     """why it was not accepted; empty when it was"""
+    middle: Vec3
+    """of the points, about which turn and shift are given, in world [m]"""
+    information: np.ndarray
+    """of turn (3) and shift (3) of the correction, from the cells alone, shape (6, 6): directions that the ground's shape
+    does not show hold nearly none"""
 
 
 def pose_from_wheels(
@@ -195,6 +205,25 @@ def align_to_map(
         elevation: statistics of the map's cells.
     """
     config = AlignConfig() if config is None else config
+    places, variance = overlapping_cells(points_in_world, terrain, sigma_z=sigma_z, config=config, elevation=elevation)
+    if len(places) < config.min_overlap_cells:
+        return refused_alignment(f"overlap of {len(places)} cells, need {config.min_overlap_cells}", overlap=len(places))
+    # Neighbours say nearly the same: every k-th cell carries as much, less what correlation it had.
+    stride = int(np.ceil(len(places) / config.max_cells))
+    thinned = replace(config, correlated_cells=max(config.correlated_cells / stride, 1.0))
+    rotation, shift, centre, information = _fit_to_grid(places[::stride], variance[::stride], terrain, thinned)
+    return judged(places, terrain, rotation, shift, centre, information=information, config=config)
+
+
+def overlapping_cells(
+    points_in_world: Points3,
+    terrain: FusedTerrain,
+    *,
+    sigma_z: np.ndarray | None,
+    config: AlignConfig,
+    elevation: ElevationConfig | None = None,
+) -> tuple[Points3, np.ndarray]:
+    """Cells of a view on ground that the map knows: points (n, 3) [m] and variances of their misfit (n,) [m2]."""
     grid = terrain.grid
     nx, ny = grid.shape
     layout = GridLayout(origin_x=grid.origin_x, origin_y=grid.origin_y, cell=grid.cell, nx=nx, ny=ny)
@@ -207,12 +236,31 @@ def align_to_map(
     places = np.column_stack([cells.centroid, cells.height])
     known = np.isfinite(grid.sample(cells.centroid))
     places, variance = places[known], cells.variance[known] + terrain.variance.ravel()[cells.index[known]]
-    if len(places) < config.min_overlap_cells:
-        return _refused(f"overlap of {len(places)} cells, need {config.min_overlap_cells}", overlap=len(places))
-    # Neighbours say nearly the same: every k-th cell carries as much, less what correlation it had.
-    stride = int(np.ceil(len(places) / config.max_cells))
-    thinned = replace(config, correlated_cells=max(config.correlated_cells / stride, 1.0))
-    rotation, shift, centre = _fit_to_grid(places[::stride], variance[::stride], terrain, thinned)
+    return places, variance
+
+
+def judged(
+    places: Points3,
+    terrain: FusedTerrain,
+    rotation: np.ndarray,
+    shift: Vec3,
+    centre: Vec3,
+    *,
+    information: np.ndarray,
+    config: AlignConfig,
+) -> Alignment:
+    """An alignment with the gates' verdict: shared by every way to find the motion.
+
+    Args:
+        places: cells of the view before the motion, on known ground, shape (n, 3) [m].
+        terrain: the map.
+        rotation: of the motion, about `centre`.
+        shift: of the centre [m].
+        centre: in world [m].
+        information: of turn and shift, shape (6, 6).
+        config: the gates.
+    """
+    grid = terrain.grid
     before = places[:, 2] - grid.sample(places[:, :2])
     moved = (places - centre) @ rotation.T + centre + shift
     after = moved[:, 2] - grid.sample(moved[:, :2])
@@ -241,19 +289,22 @@ def align_to_map(
         overlap=len(places),
         accepted=not reason,
         reason=reason,
+        middle=centre,
+        information=information,
     )
 
 
 def _fit_to_grid(
     places: np.ndarray, variance: np.ndarray, terrain: FusedTerrain, config: AlignConfig
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gauss-Newton with Tukey weights: rotation and shift about the places' middle."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Gauss-Newton with Tukey weights: rotation and shift about the places' middle, and the cells' information of them."""
     centre = places.mean(axis=0)
     rotation, shift = np.eye(3), np.zeros(3)
     slope_x, slope_y = _slopes(terrain)
     turns = [config.sigma_tilt, config.sigma_tilt, config.sigma_yaw]
     sigmas = np.array([*turns, config.sigma_xy, config.sigma_xy, config.sigma_z])
     prior = np.diag(1.0 / sigmas**2)
+    seen = np.zeros((6, 6))
     for iteration in range(config.iterations):
         moved = (places - centre) @ rotation.T + centre + shift
         ix, iy, inside = terrain.grid.index(moved[:, :2])
@@ -274,13 +325,13 @@ def _fit_to_grid(
         jacobian = np.hstack([np.cross(arm, direction), direction])
         value = np.where(use, residual * normal, 0.0)
         now = np.concatenate([Rotation.from_matrix(rotation).as_rotvec(), shift])
-        hessian = jacobian.T @ (jacobian * weight[:, None]) + prior
-        step = np.linalg.solve(hessian, -(jacobian.T @ (weight * value)) - prior @ now)
+        seen = jacobian.T @ (jacobian * weight[:, None])
+        step = np.linalg.solve(seen + prior, -(jacobian.T @ (weight * value)) - prior @ now)
         rotation = Rotation.from_rotvec(step[:3]).as_matrix() @ rotation
         shift = shift + step[3:]
         if np.abs(step).max() < 1e-6:
             break
-    return rotation, shift, centre
+    return rotation, shift, centre, seen
 
 
 def _slopes(terrain: FusedTerrain) -> tuple[np.ndarray, np.ndarray]:
@@ -289,7 +340,8 @@ def _slopes(terrain: FusedTerrain) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(gx), np.asarray(gy)
 
 
-def _refused(reason: str, *, overlap: int) -> Alignment:
+def refused_alignment(reason: str, *, overlap: int) -> Alignment:
+    """No correction, and why."""
     return Alignment(
         correction=SE3.identity(),
         rmse=float("nan"),
@@ -298,6 +350,8 @@ def _refused(reason: str, *, overlap: int) -> Alignment:
         overlap=overlap,
         accepted=False,
         reason=reason,
+        middle=np.zeros(3),
+        information=np.zeros((6, 6)),
     )
 
 

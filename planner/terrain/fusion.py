@@ -1,29 +1,29 @@
-"""Masked depth images over time -> one fused terrain: height, variance and count per cell of a world-fixed grid.
+"""Masked depth images over time -> one fused terrain: height, variance, count and age per cell of a world-fixed grid.
 
-Model: a scalar Kalman filter per cell. Two views that agree sharpen the cell. Two that disagree by more than their
-variances allow do not average, since one of them is wrong (a piece of the robot's own leg, a false match): each cell
-counts how many views agreed with it, a contradicting view takes from that trust, and at none the newer view replaces
-the height. A fragment seen once is therefore gone after one clean view, and a cell seen well many times survives a
-fragment.
+Each view's points become cell heights (`elevation.measure_cells`), which two hypotheses a cell take in, and its rays
+take back what they passed through (`hypotheses`): a piece of the robot's leg that slipped through the mask once does not
+stay. The map is fixed to the world and outlives every pose of the robot, so what goes out of view survives; its window
+follows the robot by whole cells, so memory and time do not grow with the way. Unknown cells are NaN until seen or touched.
 
-The map is fixed to the world, so it outlives every pose of the robot; unknown cells are NaN until seen or touched.
+The stated variance has three parts: what averaging removes, by the hypotheses' own filters; what all views have in
+common; and the sideways error of the map, which on a slope is an error of height.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 from scipy import ndimage
 
 from athlete_twin.errors import ConfigError, TerrainError
-from athlete_twin.geometry.arrays import CellCounts, CellFlags, Cells, Points2, Points3
+from athlete_twin.geometry.arrays import CellCounts, CellFlags, Cells, Points2, Points3, Vec3
 from athlete_twin.geometry.grid import HeightGrid
-from athlete_twin.geometry.open3d_loader import open3d
 from athlete_twin.geometry.se3 import SE3
 from planner.perception.stereo import DepthImage
-from planner.terrain.elevation import CellHeights, ElevationConfig, GridLayout, measure_cells
+from planner.terrain.elevation import ElevationConfig, GridLayout, measure_cells
+from planner.terrain.hypotheses import CellStates, pass_through, take_in
+from planner.terrain.points import points_in_world
 
 OUTLIERS = ("neighbours", "statistical", "none")
 FILLS = ("nearest", "highest", "smooth")
@@ -58,8 +58,20 @@ class FusionConfig:
     """agreeing views beyond this many are not remembered: what moved is unlearned in as many views"""
     drift_sigma: float = 0.002
     """a cell's own standard deviation grows by this between two views, for what the pose estimate adds [m]"""
-    sigma_floor: float = 0.004
-    """of a fused cell: agreeing views never claim more [m]"""
+    sigma_common: float = 0.002
+    """of a fused cell's height, from what views have in common and averaging does not remove: the cameras' mountings, the
+    world's zero [m]; with `sigma_sideways` fitted so that 90 % of the truth lies in the band, on walks of other seeds than
+    those reported"""
+    sigma_sideways: float = 0.010
+    """of a fused cell's place, from the same causes; counts times the slope [m]"""
+    passed_below: float = 0.05
+    """a ray that passes so far below a cell's height speaks against it [m]; 0 takes no such evidence"""
+    passed_rays: int = 3
+    """fewer such rays are chance"""
+    ray_stride: int = 7
+    """every so manieth point's ray is followed"""
+    follow_fraction: float = 0.2
+    """of the map's size: when the robot is so far from its middle, along x or y, the map moves"""
     elevation: ElevationConfig = field(default_factory=ElevationConfig)
 
     def __post_init__(self) -> None:
@@ -67,6 +79,15 @@ class FusionConfig:
             raise ConfigError(f"outliers {self.outliers!r} is not one of {', '.join(OUTLIERS)}")
         if self.trust_limit < 1:
             raise ConfigError(f"trust_limit is {self.trust_limit}, must be at least 1")
+        if not 0.0 < self.follow_fraction < 0.5:
+            raise ConfigError(f"follow_fraction is {self.follow_fraction}, must be above 0 and below 0.5")
+        if not (self.sigma_common >= 0.0 and self.sigma_sideways >= 0.0 and self.passed_below >= 0.0):
+            raise ConfigError(
+                f"sigma_common, sigma_sideways and passed_below are {self.sigma_common}, {self.sigma_sideways} and "
+                f"{self.passed_below} m, must be 0 or more"
+            )
+        if min(self.passed_rays, self.ray_stride) < 1:
+            raise ConfigError(f"passed_rays and ray_stride are {self.passed_rays} and {self.ray_stride}, must be at least 1")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -79,11 +100,17 @@ class FusedTerrain:
     """of the height, infinite where unknown [m2]"""
     count: CellCounts
     """views that measured the cell, 0 where unknown: stays 0 where a fill guessed a height"""
+    seen: Cells
+    """mission time at which the cell was last measured, minus infinity where unknown [s]"""
 
     def __post_init__(self) -> None:
-        if self.variance.shape != self.grid.shape or self.count.shape != self.grid.shape:
-            have = f"{self.variance.shape} and {self.count.shape}"
-            raise TerrainError(f"variance and count have shapes {have}, need the grid's {self.grid.shape}")
+        shapes = {self.variance.shape, self.count.shape, self.seen.shape}
+        if shapes != {self.grid.shape}:
+            raise TerrainError(f"variance, count and seen have shapes {shapes}, need the grid's {self.grid.shape}")
+
+    def age(self, t: float) -> Cells:
+        """Time since each cell was last measured, at mission time `t`; infinite where unknown [s]."""
+        return np.asarray(t - self.seen)
 
     @property
     def unknown(self) -> CellFlags:
@@ -110,9 +137,7 @@ class FusedTerrain:
             raise TerrainError("no cell of the map is known, there is nothing to fill from")
         heights = _fill(self.grid.heights, unknown, method)
         heights[unknown] += margin
-        return FusedTerrain(
-            grid=replace(self.grid, heights=heights), variance=self.variance.copy(), count=self.count.copy()
-        )
+        return replace(self, grid=replace(self.grid, heights=heights))
 
 
 class TerrainMap:
@@ -121,11 +146,7 @@ class TerrainMap:
     def __init__(self, layout: GridLayout, *, config: FusionConfig) -> None:
         self.layout = layout
         self.config = config
-        cells = layout.nx * layout.ny
-        self._height = np.full(cells, np.nan)
-        self._variance = np.full(cells, np.inf)
-        self._count = np.zeros(cells, dtype=np.int64)
-        self._trust = np.zeros(cells, dtype=np.int64)
+        self._cells = CellStates.empty(layout.nx * layout.ny)
 
     @staticmethod
     def around(x: float, y: float, *, config: FusionConfig) -> TerrainMap:
@@ -136,15 +157,35 @@ class TerrainMap:
     def fuse(self, depth: DepthImage, world_from_camera: SE3) -> int:
         """Take in one depth image without the robot in it; returns how many cells it measured."""
         points, sigma = points_in_world(depth, world_from_camera, config=self.config)
-        return self.fuse_points(points, sigma)
+        return self.fuse_points(points, sigma, t=depth.t, origin_in_world=world_from_camera.translation)
 
-    def fuse_points(self, points: Points3, sigma_z: np.ndarray) -> int:
-        """Take in the points of one view with one sigma of their heights [m]; returns how many cells they measured."""
-        cells = measure_cells(points, sigma_z, layout=self.layout, config=self.config.elevation)
-        self._update(cells)
+    def fuse_points(
+        self, points: Points3, sigma_z: np.ndarray, *, t: float = 0.0, origin_in_world: Vec3 | None = None
+    ) -> int:
+        """Take in the points of one view; returns how many cells they measured.
+
+        Args:
+            points: in world, shape (n, 3) [m]; rows that are not finite are left out.
+            sigma_z: one sigma of each point's height, shape (n,) [m].
+            t: mission time of the view [s].
+            origin_in_world: the eye that saw them: its rays take back what they passed through; none do without it [m].
+        """
+        c = self.config
+        good = np.isfinite(points).all(axis=1) & np.isfinite(sigma_z) & (sigma_z > 0.0)
+        points, sigma_z = points[good], sigma_z[good]
+        cells = measure_cells(points, sigma_z, layout=self.layout, config=c.elevation)
+        take_in(
+            self._cells, cells, t=t, gate_sigma=c.gate_sigma, gate_floor=c.gate_floor, drift_variance=c.drift_sigma**2,
+            trust_limit=c.trust_limit,
+        )  # fmt: skip
+        if origin_in_world is not None and c.passed_below > 0.0:
+            pass_through(
+                self._cells, origin_in_world, points[:: c.ray_stride], cells.index, layout=self.layout,
+                margin=c.passed_below, gate_sigma=c.gate_sigma, least_rays=c.passed_rays,
+            )  # fmt: skip
         return len(cells.index)
 
-    def set_known(self, xy: Points2, heights: np.ndarray, *, radius: float, variance: float) -> None:
+    def set_known(self, xy: Points2, heights: np.ndarray, *, radius: float, variance: float, t: float = 0.0) -> None:
         """Heights known otherwise than by sight, such as under a planted wheel: they replace what was seen there.
 
         Args:
@@ -152,7 +193,9 @@ class TerrainMap:
             heights: of the ground there, shape (n,) [m].
             radius: cells whose centre is this near take the height; at least the nearest one does [m].
             variance: of the heights [m2].
+            t: mission time [s].
         """
+        state = self._cells
         xs = self.layout.origin_x + self.layout.cell * np.arange(self.layout.nx)
         ys = self.layout.origin_y + self.layout.cell * np.arange(self.layout.ny)
         for (x, y), height in zip(np.asarray(xy), np.asarray(heights), strict=True):
@@ -160,107 +203,51 @@ class TerrainMap:
             flat, inside = self.layout.flat_index(np.array([[x, y]]))
             touched = near.ravel()
             touched[flat[inside]] = True
-            self._height[touched] = height
-            self._variance[touched] = variance
-            self._count[touched] += 1
-            self._trust[touched] = self.config.trust_limit
+            state.height[touched] = height
+            state.variance[touched] = variance
+            state.count[touched] += 1
+            state.trust[touched] = self.config.trust_limit
+            state.seen[touched] = np.maximum(state.seen[touched], t)
+
+    def follow(self, x: float, y: float) -> bool:
+        """Move the window over a place that is far from its middle; whether it moved. What it leaves is forgotten [m]."""
+        layout = self.layout
+        middle_x = layout.origin_x + 0.5 * layout.cell * (layout.nx - 1)
+        middle_y = layout.origin_y + 0.5 * layout.cell * (layout.ny - 1)
+        config = self.config
+        off = max(abs(x - middle_x) / config.size_x, abs(y - middle_y) / config.size_y)
+        if off <= config.follow_fraction:
+            return False
+        after = GridLayout.centred(x, y, size_x=config.size_x, size_y=config.size_y, cell=layout.cell)
+        self._cells = self._cells.moved(layout, after)
+        self.layout = after
+        return True
+
+    def lower(self, by: float) -> None:
+        """The world's zero is so much higher than was thought: all heights sink [m]."""
+        self._cells.height -= by
+        self._cells.other_height -= by
 
     def fused(self) -> FusedTerrain:
         """Snapshot of the map as it is now; it does not change when the map does."""
         shape = (self.layout.nx, self.layout.ny)
-        heights, variance = self._height.copy().reshape(shape), self._variance.copy().reshape(shape)
-        count = self._count.copy().reshape(shape)
-        for array in (heights, variance, count):
+        heights, count = self._cells.height.copy().reshape(shape), self._cells.count.copy().reshape(shape)
+        seen = self._cells.seen.copy().reshape(shape)
+        variance = self._cells.variance.reshape(shape) + self.config.sigma_common**2
+        variance = variance + self.config.sigma_sideways**2 * _slope_squared(heights, self.layout.cell)
+        for array in (heights, variance, count, seen):
             array.setflags(write=False)
-        return FusedTerrain(grid=self.layout.grid(heights), variance=variance, count=count)
-
-    def _update(self, cells: CellHeights) -> None:
-        c, config = cells.index, self.config
-        known = self._count[c] > 0
-        height = np.where(known, self._height[c], 0.0)
-        prior = np.where(known, self._variance[c], 0.0) + config.drift_sigma**2
-        innovation = cells.height - height
-        gate = np.maximum(config.gate_sigma * np.sqrt(prior + cells.variance), config.gate_floor)
-        agrees = known & (np.abs(innovation) <= gate)
-        trust = np.where(agrees, np.minimum(self._trust[c] + 1, config.trust_limit), self._trust[c] - 1)
-        replaced = ~agrees & (trust <= 0)
-        gain = np.where(agrees, prior / (prior + cells.variance), 0.0)
-        new_height = np.where(replaced, cells.height, height + gain * innovation)
-        new_variance = np.where(replaced, cells.variance, np.maximum((1.0 - gain) * prior, config.sigma_floor**2))
-        self._height[c] = new_height
-        self._variance[c] = new_variance
-        self._trust[c] = np.where(replaced, 1, trust)
-        self._count[c] += 1
+        return FusedTerrain(grid=self.layout.grid(heights), variance=variance, count=count, seen=seen)
 
 
-def points_in_world(depth: DepthImage, world_from_camera: SE3, *, config: FusionConfig) -> tuple[Points3, np.ndarray]:
-    """Terrain points of a depth image and one sigma of their heights [m]; far, vague and stray pixels are left out."""
-    use = np.isfinite(depth.depth) & (depth.depth <= config.max_depth)
-    use &= np.nan_to_num(depth.sigma, nan=np.inf) <= config.max_sigma
-    if config.outliers == "neighbours":
-        use &= _supported(depth)
-    rays, inverse, sigma = _bridged(depth, use, config)
-    z = 1.0 / inverse
-    rays_in_world = world_from_camera.rotate(rays)
-    points = rays_in_world * z[:, None] + world_from_camera.translation
-    # A wrong depth moves the point along its ray; on ground seen at a slant that is mostly sideways.
-    sigma_z = np.maximum(sigma * np.abs(rays_in_world[:, 2]), 1e-4)
-    if config.outliers == "statistical":
-        return _statistical(points, sigma_z, config)
-    return points, sigma_z
-
-
-def _bridged(depth: DepthImage, use: np.ndarray, config: FusionConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rays, inverse depths and sigmas of the used pixels and of points between them and the pixels below.
-
-    The inverse depth is linear along a plane's image, so the points between lie on the plane through both.
-    """
-    rays = depth.eye.rays()
-    safe = np.where(use, depth.depth, 1.0)
-    inverse = 1.0 / safe
-    out = [(rays[use], inverse[use], depth.sigma[use])]
-    shift = depth.eye.focal_px * depth.camera.baseline
-    joined = use[:-1] & use[1:] & (np.abs(inverse[:-1] - inverse[1:]) * shift < config.bridge_step_px)
-    upper, lower = rays[:-1][joined], rays[1:][joined]
-    first, second = inverse[:-1][joined], inverse[1:][joined]
-    sigma = np.maximum(depth.sigma[:-1], depth.sigma[1:])[joined]
-    gap = np.linalg.norm(upper / first[:, None] - lower / second[:, None], axis=1)
-    # Points half a cell apart leave no cell of the gap empty.
-    pieces = np.minimum(np.ceil(gap / (0.5 * config.cell)), config.bridge)
-    for k in range(1, config.bridge):
-        some = pieces > k
-        at = (k / pieces[some])[:, None]
-        ray = (1.0 - at) * upper[some] + at * lower[some]
-        between = (1.0 - at[:, 0]) * first[some] + at[:, 0] * second[some]
-        out.append((ray, between, sigma[some]))
-    return (
-        np.concatenate([o[0] for o in out]),
-        np.concatenate([o[1] for o in out]),
-        np.concatenate([o[2] for o in out]),
-    )
-
-
-def _supported(depth: DepthImage) -> np.ndarray:
-    """Pixels that lie within the noise of the median of their 5 x 5 neighbourhood: stray ones hang between surfaces."""
-    inverse = np.where(np.isfinite(depth.depth), 1.0 / depth.depth, 0.0).astype(np.float32)
-    known = (inverse > 0.0).astype(np.float32)
-    neighbours = cv2.boxFilter(known, cv2.CV_32F, (5, 5), normalize=False)
-    # Half of the window must be known, so that the median is of known pixels.
-    median = cv2.medianBlur(inverse, 5)
-    shift = depth.eye.focal_px * depth.camera.baseline
-    return np.asarray((known > 0) & (neighbours >= 14.0) & (np.abs(inverse - median) * shift <= 1.0))
-
-
-def _statistical(points: np.ndarray, sigma_z: np.ndarray, config: FusionConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Open3D's voxel filter at half a cell, then its statistical outlier filter. The sigma travels as a colour."""
-    if len(points) == 0:
-        return points, sigma_z
-    o3d = open3d()
-    cloud = o3d.geometry.PointCloud(o3d.utility.Vector3dVector(points))
-    cloud.colors = o3d.utility.Vector3dVector(np.repeat(sigma_z[:, None], 3, axis=1))
-    cloud = cloud.voxel_down_sample(0.5 * config.cell)
-    cloud, _ = cloud.remove_statistical_outlier(8, 2.5)
-    return np.asarray(cloud.points).copy(), np.asarray(cloud.colors)[:, 0].copy()
+def _slope_squared(heights: Cells, cell: float) -> Cells:
+    """Square of the steepest one-sided slope along x plus along y; steps to unknown cells count as none."""
+    along_x, along_y = np.abs(np.diff(heights, axis=0)), np.abs(np.diff(heights, axis=1))
+    along_x, along_y = np.nan_to_num(along_x / cell), np.nan_to_num(along_y / cell)
+    gx, gy = np.zeros(heights.shape), np.zeros(heights.shape)
+    gx[:-1], gy[:, :-1] = along_x, along_y
+    gx[1:], gy[:, 1:] = np.maximum(gx[1:], along_x), np.maximum(gy[:, 1:], along_y)
+    return np.asarray(gx**2 + gy**2)
 
 
 def _fill(heights: Cells, unknown: CellFlags, method: str) -> Cells:
@@ -279,3 +266,6 @@ def _fill(heights: Cells, unknown: CellFlags, method: str) -> Cells:
             if ring.any():
                 out[ring] = np.maximum(ndimage.maximum_filter(low, 2 * reach + 1, mode="nearest")[ring], out[ring])
     return out
+
+
+__all__ = ["FILLS", "OUTLIERS", "FusedTerrain", "FusionConfig", "TerrainMap", "points_in_world"]

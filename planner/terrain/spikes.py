@@ -54,7 +54,10 @@ def without_spikes(terrain: FusedTerrain, *, config: SpikeConfig) -> FusedTerrai
         heights=np.where(spike, np.nan, heights),
     )
     return FusedTerrain(
-        grid=grid, variance=np.where(spike, np.inf, terrain.variance), count=np.where(spike, 0, terrain.count)
+        grid=grid,
+        variance=np.where(spike, np.inf, terrain.variance),
+        count=np.where(spike, 0, terrain.count),
+        seen=np.where(spike, -np.inf, terrain.seen),
     )
 
 

@@ -17,6 +17,7 @@ def terrain(heights: np.ndarray) -> FusedTerrain:
         grid=HeightGrid(origin_x=0.0, origin_y=0.0, cell=CELL, heights=heights),
         variance=np.where(known, 1e-4, np.inf),
         count=known.astype(np.int64),
+        seen=np.where(known, 0.0, -np.inf),
     )
 
 
