@@ -25,7 +25,7 @@ import json
 import sys
 import time
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +47,7 @@ from planner.terrain.fusion import FusedTerrain, FusionConfig, TerrainMap
 
 WIDEST_PX = 1600
 """wider images are binned, both eyes alike, until they fit"""
-LEAST_KNOWN = 0.05
+LEAST_KNOWN = 0.1
 """of the pixels with a depth: fewer are chance, as of a pair whose eyes were exchanged"""
 NUMBERS = {
     "focal_px", "hfov_deg", "baseline_m", "height_m", "pitch_down_deg", "cell_m", "cx_px", "cy_px", "right_cx_px",
@@ -119,9 +119,11 @@ def reconstruct(options: Options) -> dict[str, Any]:
     known = np.isfinite(depth.depth)
     if known.mean() < LEAST_KNOWN:
         near, far = file.depth_range
+        swapped = match(merged([replace(pair, left=pair.right, right=pair.left)]), file.camera, config=config)
+        other = float(np.isfinite(swapped.depth).mean())
+        why = "left and right seem to be exchanged" if other > 2.0 * known.mean() else "is the pair rectified?"
         raise CameraError(
-            f"{known.mean():.1%} of the pixels have a depth from {near:g} to {far:g} m, need {LEAST_KNOWN:.0%}; "
-            f"is the pair rectified, left and right not exchanged?"
+            f"only {known.mean():.1%} of the pixels have a depth from {near:g} to {far:g} m, need {LEAST_KNOWN:.0%}: {why}"
         )
     terrain = _mapped(depth, file)
     seconds = time.perf_counter() - start

@@ -131,7 +131,7 @@ def test_bad_camera_files_are_refused_in_one_line(files, capfd, change, text):
 @pytest.mark.parametrize(
     ("kind", "text"),
     [("black", "is black"), ("white", "is white"), ("small", "both must be alike"), ("cut", "is cut off"), ("empty", "0 bytes"),
-     ("missing", "no such image"), ("swapped", "not exchanged")],
+     ("missing", "no such image"), ("swapped", "seem to be exchanged")],
 )  # fmt: skip
 def test_bad_images_are_refused_in_one_line(files, capfd, kind, text):
     left = files / "left.png"
