@@ -1,5 +1,7 @@
 """The drawing finds its place in the picture, says how sure it is, and stays put where the picture says nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -52,15 +54,32 @@ def fitted(seen, error, config=None):
     return fit, points, float(np.median(before)), float(np.median(after))
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_three_centimetres_and_a_degree_are_found_to_two_pixels(seen, seed):
+def three_centimetres_and_a_degree(seed):
     rng = np.random.default_rng([seed, 42])
     turn, shift = rng.standard_normal(3), rng.standard_normal(3)
-    error = SE3.from_rotvec(np.deg2rad(1.0) * turn / np.linalg.norm(turn), 0.03 * shift / np.linalg.norm(shift))
-    fit, _, before, after = fitted(seen, error)
+    return SE3.from_rotvec(np.deg2rad(1.0) * turn / np.linalg.norm(turn), 0.03 * shift / np.linalg.norm(shift))
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_three_centimetres_and_a_degree_are_found_to_two_pixels(seen, synth, seed):
+    """In a depth that is true but for a centimetre of noise."""
+    depth, drawing = seen
+    camera = depth.camera
+    scene = synth.Scene([synth.Cylinder(x, y, 0.11, 0.0, 1.2) for x, y in LEGS.values()])
+    truth = scene.trace(camera.hex_from_camera, camera.eye)[0]
+    noisy = truth + np.random.default_rng(seed).normal(0.0, 0.01, truth.shape)
+    true = replace(depth, depth=noisy, sigma=np.where(np.isfinite(noisy), 0.01, np.nan))
+    fit, _, before, after = fitted((true, drawing), three_centimetres_and_a_degree(seed))
     assert fit.points > 300
     assert after < 2.0
     assert after < 0.6 * before or before < 2.0
+
+
+def test_in_a_matched_depth_the_error_is_halved(seen):
+    """Matching frays a leg's outline, which the fit goes by: it helps in each case, and by half in most."""
+    errors = [fitted(seen, three_centimetres_and_a_degree(seed))[2:] for seed in range(8)]
+    assert all(after < before for before, after in errors)
+    assert np.median([after / before for before, after in errors]) < 0.5
 
 
 def test_a_right_belief_is_left_alone(seen):

@@ -242,7 +242,7 @@ def test_parts_too_near_to_be_matched_are_cut_from_the_drawing_alone(synth):
     depth = match(scene.pair(camera, SE3.identity()), camera, config=StereoConfig())
     hidden = scene.trace(camera.hex_from_camera, camera.eye)[2] == 1
     # A false match, as repeated texture gives.
-    false = replace(depth, depth=np.where(hidden, 4.0, depth.depth))
+    false = replace(depth, depth=np.where(hidden, 4.0, depth.depth), sigma=np.where(hidden, 0.02, depth.sigma))
     result = remove_self(
         false,
         config=SelfMaskConfig(method="combined"),
