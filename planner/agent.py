@@ -420,7 +420,7 @@ class GroundAgent:
         """
         if plan.lift_in_hex is None:
             return self._as_proposal(plan, belief, ground, t)
-        everything = tuple(c.name for c in self.spec.cameras)
+        everything = tuple(c.name for c in self.spec.cameras if c.on_chassis)
         commands: list[Command] = [LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact")]
         preview = np.repeat(belief.joints[None], 2, axis=0)
         preview[1, plan.leg] = plan.swing[0]

@@ -131,6 +131,6 @@ def test_bad_settings_are_refused(synth):
         StereoConfig(block_px=4)
     with pytest.raises(ConfigError, match="depth_range of hazcam"):
         StereoConfig(depth_range={"hazcam": (2.0, 1.0)})
-    camera = synth.looking(1.5, 50.0, group="toolcam")
-    with pytest.raises(ConfigError, match="toolcam"):
+    camera = synth.looking(1.5, 50.0, group="periscope")
+    with pytest.raises(ConfigError, match="periscope"):
         match(synth.Scene().pair(camera, HERE), camera, config=StereoConfig())
