@@ -235,12 +235,10 @@ class Mission:
         self._charge(agent)
 
     def _ask(self, agent: GroundAgent) -> None:
-        # An agent without eyes leaves no picture out.
-        unusable: list[str] = getattr(agent, "unusable_pairs", [])
-        heard = len(unusable)
+        heard = len(agent.unusable_pairs)
         action = agent.next(self.t)
         if self.recorder:
-            for reason in unusable[heard:]:
+            for reason in agent.unusable_pairs[heard:]:
                 self.recorder.ground_says("UnusablePair", reason, self.t)
         self._charge(agent)
         if isinstance(action, Proposal):

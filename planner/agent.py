@@ -35,10 +35,12 @@ from planner.config import PlannerConfig
 from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplink, Waiting
 from planner.eyes import Eyes, StageTimer, untimed
 from planner.footfall import FootfallMap, score_footfalls
+from planner.gait.lift_and_look import raised_path
 from planner.gait.skeleton import regular_places, reverse_wave, stride
 from planner.gait.step_plan import BodyShift, StepPlan
 from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
+from planner.motion.collision import LegCollision
 from planner.recovery import LOWERINGS, Recovery
 from planner.sag.sag_model import FootSprings
 from planner.sequence import as_sequence, lower_commands, step_commands
@@ -263,8 +265,11 @@ class GroundAgent:
 
     def _level(self, belief: Belief, telemetry: Telemetry) -> None:
         """The first pictures show how deep the wheels stand: chassis and map are lower by that."""
+        over = self.eyes.level(belief)
+        if over is None:  # the next pictures may say
+            return
         self._levelled = True
-        self.eyes.map.lower(self._filter.settle(self.eyes.level(belief), sigma=LEVEL_SIGMA))
+        self.eyes.map.lower(self._filter.settle(over, sigma=LEVEL_SIGMA))
         self._belief = self._filter.update(telemetry)
 
     def _faulted(self, sent: _Sent, fault: Fault) -> None:
@@ -415,21 +420,27 @@ class GroundAgent:
     def _lift_first(self, plan: StepPlan, belief: Belief, ground: Ground, t: float) -> Action:
         """The leg's lift-off alone, and pictures of what it hid: the step is planned on them, from where the leg then is.
 
-        The lift-off is that of a step which passed every check on the map as it was, [SunSpiral2012] s5.2.1. A step that is
-        not found then brings the leg down where it stood.
+        The lift-off is that of a step which passed every check on the map as it was, [SunSpiral2012] s5.2.1; the wheel goes
+        on straight up, out of the view. A step that is not found then brings the leg down where it stood.
         """
         if plan.lift_in_hex is None:
             return self._as_proposal(plan, belief, ground, t)
         everything = tuple(c.name for c in self.spec.cameras if c.on_chassis)
+        step, pose = self.config.step, plan.world_from_hex_swing
+        collision = LegCollision(self.spec, ground.filled, pose, belief.joints, plan.leg, step.collision)
+        up = raised_path(self.kin, plan, belief, collision, config=self.config.look, payload_kg=self._payload)
         commands: list[Command] = [LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact")]
-        preview = np.repeat(belief.joints[None], 2, axis=0)
-        preview[1, plan.leg] = plan.swing[0]
-        self._plan, self._lift = None, plan
+        if len(up) > 1:
+            commands.append(JointMove(leg=plan.leg, waypoints=up[1:]))
+        preview = np.repeat(belief.joints[None], len(up) + 1, axis=0)
+        preview[1:, plan.leg] = up
+        # Its swing is the way up: that is what leads back, should the leg strike something on it.
+        self._plan, self._lift = None, replace(plan, swing=up)
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=plan.leg,
             footfall_in_world=belief.contacts_in_world[plan.leg].copy(),
             sequence=self._as_sequence(commands, t, cameras=everything),
-            preview_joints=preview, preview_world_from_hex=(belief.world_from_hex,) * 2,
+            preview_joints=preview, preview_world_from_hex=(belief.world_from_hex, *(pose,) * len(up)),
             terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
@@ -441,14 +452,18 @@ class GroundAgent:
         """The wheel found no ground where the map had some: further down at the same place."""
         axle = self.kin.leg_wheel(plan.leg, belief.motors[plan.leg]).translation
         down = belief.gravity_in_hex() / GRAVITY
-        target = axle + self.config.step.touchdown.search_depth * down
+        # From a raised place it is farther: all the way to the ground as the map has it, and then as far again as ever.
+        under = belief.world_from_hex.apply(axle) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0])
+        height = max(0.0, float(under[2] - ground.filled.sample(under[None, :2])[0]))
+        depth = height + self.config.step.touchdown.search_depth
+        target = axle + depth * down
         commands = lower_commands(plan.leg, target, plan.contact_load)
         contact = belief.world_from_hex.apply(target) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0])
         lowered = replace(
             plan, lift_in_hex=None, descent_in_hex=target, shift=BodyShift.none(), footfall_in_world=contact,
             preview_joints=belief.joints[None].copy(), preview_world_from_hex=(belief.world_from_hex,),
         )  # fmt: skip
-        text = f"leg {plan.leg + 1} goes further down where it is, at most {100 * self.config.step.touchdown.search_depth:.0f} cm"
+        text = f"leg {plan.leg + 1} goes further down where it is, at most {100 * depth:.0f} cm"
         return self._as_proposal(lowered, belief, ground, t, commands=commands, text=text)
 
     def _ground(self, belief: Belief) -> Ground:
@@ -549,7 +564,7 @@ class GroundAgent:
     def _send(
         self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None
     ) -> CommandSequence:
-        awaited = sum(len(c.cameras) for c in sequence.commands if isinstance(c, ImageRequest))
+        awaited = sum(len(c.cameras) * len(c.brackets) for c in sequence.commands if isinstance(c, ImageRequest))
         self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift)
         if plan is not None or lift is not None:
             self._attempt = plan or lift

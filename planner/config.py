@@ -35,6 +35,7 @@ import numpy as np
 from athlete_twin.errors import AthleteError, ConfigError
 from athlete_twin.model.spec import RobotSpec
 from planner.footfall import FootfallConfig
+from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
 from planner.gait.skeleton import GaitConfig
 from planner.gait.step_search import SearchConfig, StepConfig, TouchdownConfig
@@ -93,6 +94,7 @@ SETTINGS: dict[str, type] = {
     "touchdown": TouchdownConfig,
     "shift": ShiftLimits,
     "survey": SurveyConfig,
+    "look": LookConfig,
 }
 
 
@@ -121,6 +123,7 @@ class PlannerConfig:
     wheel_fit: WheelFitConfig
     footfall: FootfallConfig
     survey: SurveyConfig
+    look: LookConfig
     step: StepConfig
 
 
@@ -174,6 +177,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         wheel_fit=made["wheel_fit"],
         footfall=made["footfall"],
         survey=made["survey"],
+        look=made["look"],
         step=StepConfig(
             gait=made["gait"],
             search=made["search"],

@@ -6,7 +6,7 @@ that asks a person reads a terminal and therefore lives with the scripts; those 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import Literal, Protocol, get_args, runtime_checkable
@@ -140,6 +140,10 @@ class GroundAgent(Protocol):
     @property
     def ground_s(self) -> float:
         """Computing time charged so far, from the fixed table [s]. It only grows."""
+
+    @property
+    def unusable_pairs(self) -> Sequence[str]:
+        """Why pictures were left out so far, one line each; it only grows, and stays empty without eyes."""
 
     def observe(self, message: Message, t: float) -> None:
         """Take one message that came down and arrived at mission time `t` [s]."""

@@ -115,8 +115,8 @@ class Eyes:
         contacts = np.atleast_2d(contacts)
         self.map.set_known(contacts[:, :2], contacts[:, 2], radius=0.5 * self._kin.spec.wheel.width, variance=4e-4, t=t)
 
-    def level(self, belief: Belief) -> float:
-        """How much higher the ground beside the standing wheels was seen than their contacts are believed [m]."""
+    def level(self, belief: Belief) -> float | None:
+        """How much higher the ground beside the standing wheels was seen than their contacts are believed [m]; None: unseen."""
         return ground_over_contacts(self.map.fused(), belief.contacts_in_world[belief.planted])
 
     def forget(self, belief: Belief) -> None:

@@ -18,7 +18,7 @@ from athlete_twin.athlete import Athlete
 from athlete_twin.errors import ConfigError, PhysicsError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Fault, LegMove, StereoPair, Telemetry
-from athlete_twin.model.appearance import visual_parts
+from athlete_twin.model.appearance import leg_of, visual_parts
 from athlete_twin.model.camera import Pinhole, StereoCamera
 from athlete_twin.model.spec import RobotSpec, load_spec
 from athlete_twin.model.stance import stance_wheels_in_hex
@@ -169,7 +169,7 @@ def look(scene: Scene, sun_deg: float, condition: str = "sun", *, binning: int =
     kind = Overcast if condition == "soft" else Renderer
     renderer = kind(scene.terrain, parts, sun_in_world=sun)
     robot = renderer.place(scene.world_from_link)
-    leg_of_part = np.array([_leg_of(p.link) for p in parts], dtype=np.int8)
+    leg_of_part = np.array([leg_of(p.link) for p in parts], dtype=np.int8)
     for camera in scene.cameras:
         eye = camera.eye.binned(binning) if binning > 1 else camera.eye
         world_from_left = scene.world_from_hex.compose(camera.hex_from_camera).compose(pose_error(scene.seed, camera.name))
@@ -289,15 +289,6 @@ def _raise(athlete: Athlete, leg: int) -> Telemetry:
 def _last_telemetry(athlete: Athlete) -> Telemetry:
     made = athlete.advance(athlete.t + 0.1)
     return next(m for m in reversed(made) if isinstance(m, Telemetry))
-
-
-def _leg_of(link: str) -> int:
-    """Index of the leg that a link belongs to, by its URDF name such as "leg3_hip_yaw" or "wheel3"; -1 for the chassis."""
-    for prefix in ("leg", "wheel"):
-        rest = link.removeprefix(prefix)
-        if rest != link and rest[:1].isdigit():
-            return int(rest[0]) - 1
-    return -1
 
 
 def _legs(world_from_left: SE3, eye: Pinhole, robot: PlacedRobot, label: np.ndarray, leg_of_part: np.ndarray) -> np.ndarray:

@@ -18,6 +18,8 @@ from athlete_twin.model.spec import RobotSpec
 
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])
 """weights of linear red, green, blue, ITU-R BT.709"""
+CHASSIS = -1
+"""instead of a leg's index: a link that belongs to none"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -35,6 +37,15 @@ class VisualPart:
     """linear red, green, blue reflectance, 0 to 1"""
     albedo: float
     """grey reflectance, 0 to 1"""
+
+
+def leg_of(link: str) -> int:
+    """Index of the leg that a link belongs to, by its URDF name such as "leg3_hip_yaw" or "wheel3"; -1 for the chassis."""
+    for prefix in ("leg", "wheel"):
+        rest = link.removeprefix(prefix)
+        if rest != link and rest[:1].isdigit():
+            return int(rest[0]) - 1
+    return CHASSIS
 
 
 def visual_parts(spec: RobotSpec) -> tuple[VisualPart, ...]:

@@ -20,6 +20,7 @@ from athlete_twin.errors import CameraError
 from athlete_twin.geometry.arrays import DepthMap, Image, Vec3
 from athlete_twin.geometry.open3d_loader import open3d
 from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.appearance import leg_of
 from athlete_twin.model.camera import Pinhole
 from athlete_twin.sensors.backdrop import ground_mesh
 from athlete_twin.sensors.shading import Surface, shade, surface_fields
@@ -118,7 +119,7 @@ class Renderer:
         self._fields = surface_fields(terrain)
         nx, ny = terrain.grid.shape
         self._cover = SunCover(terrain.grid, vertices[triangles[2 * (nx - 1) * (ny - 1) :]], self._sun)
-        self._part_leg = np.array([*(_leg_of(p.link) for p in self._parts), -1], dtype=np.int8)
+        self._part_leg = np.array([*(leg_of(p.link) for p in self._parts), -1], dtype=np.int8)
         self._part_colour = np.array([p.colour for p in self._parts], dtype=float).reshape(-1, 3)
         self._part_albedo = np.array([p.albedo for p in self._parts], dtype=float)
 
@@ -258,12 +259,6 @@ class Renderer:
         side /= np.linalg.norm(side)
         other = np.cross(self._sun, side)
         return np.asarray(self._sun + SUN_RADIUS * places @ np.vstack([side, other]))
-
-
-def _leg_of(link: str) -> int:
-    """Index of the leg that a link belongs to by its URDF name, -1 for the chassis."""
-    digit = link.removeprefix("leg").removeprefix("wheel")[:1]
-    return int(digit) - 1 if link.startswith(("leg", "wheel")) and digit.isdigit() else -1
 
 
 def _scene_of(vertices: np.ndarray, triangles: np.ndarray) -> Any:

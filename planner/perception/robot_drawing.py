@@ -16,11 +16,10 @@ import numpy as np
 from athlete_twin.geometry.arrays import DepthMap, Mask
 from athlete_twin.geometry.open3d_loader import open3d
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.model.appearance import VisualPart
+from athlete_twin.model.appearance import CHASSIS, VisualPart, leg_of
 from athlete_twin.model.camera import Pinhole
 from planner.perception.stereo import DepthImage
 
-CHASSIS = -1
 START = 0.10
 """rays begin so far from the lens: nearer is the camera's own mounting, and a lens believed a few centimetres off may lie
 inside of what it hangs under [m along the boresight]"""
@@ -116,12 +115,3 @@ def beside_drawn(expected: DepthMap) -> tuple[np.ndarray, np.ndarray]:
     of_owner = np.zeros(int(owner.max()) + 1)
     of_owner[owner[drawn]] = expected[drawn]
     return np.asarray(outside), of_owner[owner]
-
-
-def leg_of(link: str) -> int:
-    """Index of the leg that a link belongs to, by its URDF name such as "leg3_hip_yaw" or "wheel3"; -1 for the chassis."""
-    for prefix in ("leg", "wheel"):
-        rest = link.removeprefix(prefix)
-        if rest != link and rest[:1].isdigit():
-            return int(rest[0]) - 1
-    return CHASSIS

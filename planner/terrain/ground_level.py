@@ -25,8 +25,8 @@ CREDIBLE = 0.08
 """more than a tyre gives way and sinks in before the robot is stuck: the pictures are wrong [m]"""
 
 
-def ground_over_contacts(terrain: FusedTerrain, contacts_in_world: Points3) -> float:
-    """Median over the wheels of seen ground less believed contact [m]; 0 where too little is seen to say.
+def ground_over_contacts(terrain: FusedTerrain, contacts_in_world: Points3) -> float | None:
+    """Median over the wheels of seen ground less believed contact [m]; None where too little is seen, or nothing credible.
 
     Args:
         terrain: made of pictures alone: cells set by touch would say what the contacts say.
@@ -44,9 +44,9 @@ def ground_over_contacts(terrain: FusedTerrain, contacts_in_world: Points3) -> f
         if use.sum() >= LEAST_CELLS:
             over.append(_level_at_middle(dx[use], dy[use], z[use]) - contact[2])
     if len(over) < LEAST_WHEELS:
-        return 0.0
+        return None
     middle = float(np.median(over))
-    return middle if abs(middle) <= CREDIBLE else 0.0
+    return middle if abs(middle) <= CREDIBLE else None
 
 
 def _level_at_middle(dx: np.ndarray, dy: np.ndarray, z: np.ndarray) -> float:

@@ -34,6 +34,7 @@ class ScriptedAgent:
         self.kin = Kinematics(self.spec)
         self.steps, self.shift = steps, shift
         self.ground_s = 0.0
+        self.unusable_pairs: tuple[str, ...] = ()
         self.seen: list[tuple[float, Message]] = []
         self.decided: list[str] = []
         self._sequence = 0

@@ -20,10 +20,13 @@ from envs.spaces import KINDS, NEVER
 from planner.decisions import DECISIONS, Decision
 
 IDS = [f"AthleteTwin/{robot}{kind}-v0" for robot in ("SdmB", "T12") for kind in ("-Mock", "", "-Operator")]
+MOCKS = [name for name in IDS if "Mock" in name]
+TWINS = [name for name in IDS if name not in MOCKS]
 
 
-def checked(name, **kwargs):
-    env = gym.make(name, disable_env_checker=True, **kwargs)
+@pytest.mark.parametrize("name", [*MOCKS, *(pytest.param(i, marks=(pytest.mark.slow, pytest.mark.ci)) for i in TWINS)])
+def test_every_id_keeps_gymnasiums_contract(name):
+    env = gym.make(name, disable_env_checker=True, **({} if name in MOCKS else {"scenario": "calibration_yard"}))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         check_env(env.unwrapped, skip_render_check=True)  # raises where the contract is broken
@@ -32,18 +35,6 @@ def checked(name, **kwargs):
     stepped = env.step(env.action_space.sample())[0]
     assert env.observation_space.contains(stepped)
     env.close()
-
-
-@pytest.mark.parametrize("name", [i for i in IDS if "Mock" in i])
-def test_mock_keeps_gymnasiums_contract(name):
-    checked(name)
-
-
-@pytest.mark.slow
-@pytest.mark.ci
-@pytest.mark.parametrize("name", [i for i in IDS if "Mock" not in i])
-def test_twin_keeps_gymnasiums_contract(name):
-    checked(name, scenario="calibration_yard")
 
 
 def test_all_ids_are_registered():

@@ -9,7 +9,7 @@ from athlete_twin.errors import AssetError
 from athlete_twin.geometry.open3d_loader import open3d
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model import appearance
-from athlete_twin.model.appearance import visual_parts
+from athlete_twin.model.appearance import leg_of, visual_parts
 from athlete_twin.model.generated import MATERIALS, generated_files
 from athlete_twin.model.link_solids import solids
 from athlete_twin.model.solids import beam, box, cylinder, join, lathe, obj_mesh, obj_text, prism
@@ -220,3 +220,8 @@ def test_missing_files_are_named_with_the_remedy(spec, tmp_path, monkeypatch):
     (tmp_path / "robot.urdf").write_bytes((robot_dir(spec.name) / "robot.urdf").read_bytes())
     with pytest.raises(AssetError, match=r"meshes/hex_\w+\.obj is missing"):
         appearance._visual_parts.__wrapped__(spec.name)
+
+
+@pytest.mark.parametrize(("link", "leg"), [("leg3_hip_yaw", 2), ("wheel6", 5), ("hex", -1), ("deck_left", -1)])
+def test_links_belong_to_legs_by_their_name(link, leg):
+    assert leg_of(link) == leg

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from athlete_twin.assets import named_toml, read_toml
-from athlete_twin.messages import CommandSequence, Fault, Receipt
+from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Receipt
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
 from planner.agent import LOST_AFTER, GroundAgent
@@ -84,3 +84,23 @@ def test_a_sequence_that_nobody_acknowledges_is_proposed_again_and_an_acknowledg
     assert resent.sequence_id > sent.sequence_id
     agent.observe(receipt(resent, "queued"), 80.0)
     assert isinstance(agent.next(1000.0), Waiting)
+
+
+def test_pictures_without_ground_beside_the_wheels_are_no_measurement_of_their_depth(agent, monkeypatch):
+    told = [None, 0.02]
+    monkeypatch.setattr(agent.eyes, "level", lambda _belief: told.pop(0))
+    before = agent.belief.world_from_hex.translation[2]
+    variance = agent._filter._sink_variance
+    agent._level(agent.belief, agent._telemetry)
+    assert agent._filter._sink_variance == variance and agent.belief.world_from_hex.translation[2] == before
+    assert not agent._levelled
+    agent._level(agent.belief, agent._telemetry)
+    assert agent._levelled and agent._filter._sink_variance < variance
+    assert 0.0 < before - agent.belief.world_from_hex.translation[2] < 0.02
+
+
+def test_every_exposure_of_a_bracket_is_awaited(agent):
+    proposal(agent, 1.0)
+    look = ImageRequest(cameras=("a", "b"), brackets=(0.5, 1.0, 4.0))
+    agent._send(agent._as_sequence([look], 1.0), None)
+    assert agent._sent.pairs_awaited == 6

@@ -62,7 +62,8 @@ def test_rows_say_what_was_met():
         for k in range(2)
     ]  # fmt: skip
     rows = _rows("sdm_b", made, made)
-    assert [row["met"] for row in rows] == [True, True, True, False, None, True]
+    assert [row["met"] for row in rows] == [None, True, True, True, False, None, None, True]
+    assert rows[0]["ours"] == 0.0 and rows[-2]["ours"] == 2.0  # asked for twenty steps, the walks ended after ten
     keys = {"name", "ours", "unit", "peer_name", "peer", "ratio", "target", "met"}
     assert all(set(row) == keys for row in rows)
     assert _rows("sdm_b", made, [])[-1]["ours"] is None

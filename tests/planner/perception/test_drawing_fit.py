@@ -10,7 +10,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.appearance import VisualPart
 from planner.perception.drawing_fit import DrawingFitConfig, fit_drawing
 from planner.perception.outline_search import drawn_outline, search
-from planner.perception.robot_drawing import RobotDrawing, beside_drawn, leg_of
+from planner.perception.robot_drawing import RobotDrawing, beside_drawn
 from planner.perception.stereo import StereoConfig, match
 
 LEGS = {"leg1": (2.0, 0.35), "wheel2": (2.3, -0.5)}
@@ -161,11 +161,6 @@ def test_nearest_drawn_depth_is_that_of_brute_force():
     taken = expected[tuple(at.T)]
     alike = (np.abs(depth.ravel()[:, None] - taken) < 1e-12) & (away < away.min(axis=1, keepdims=True) + 0.3)
     assert alike.any(axis=1).all()
-
-
-@pytest.mark.parametrize(("link", "leg"), [("leg3_hip_yaw", 2), ("wheel6", 5), ("hex", -1), ("deck_left", -1)])
-def test_links_belong_to_legs_by_their_name(link, leg):
-    assert leg_of(link) == leg
 
 
 def test_sigmas_of_nothing_are_refused():

@@ -36,5 +36,5 @@ def test_rocks_beside_two_wheels_do_not_lift_the_ground():
 
 def test_too_little_seen_or_too_much_found_says_nothing():
     contacts = np.column_stack([WHEELS, slope(*WHEELS.T) - 0.02])
-    assert ground_over_contacts(seen(slope, keep=lambda x, _y: x > 1.5), contacts) == 0.0
-    assert ground_over_contacts(seen(slope), contacts - [0.0, 0.0, 0.3]) == 0.0
+    assert ground_over_contacts(seen(slope, keep=lambda x, _y: x > 1.5), contacts) is None
+    assert ground_over_contacts(seen(slope), contacts - [0.0, 0.0, 0.3]) is None
