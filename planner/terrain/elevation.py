@@ -49,10 +49,8 @@ class GridLayout:
 
     def flat_index(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Flat cell index ix * ny + iy of points (n, 2), and whether each lies inside."""
-        ix = np.rint((xy[:, 0] - self.origin_x) / self.cell).astype(np.int64)
-        iy = np.rint((xy[:, 1] - self.origin_y) / self.cell).astype(np.int64)
-        inside = (ix >= 0) & (ix < self.nx) & (iy >= 0) & (iy < self.ny)
-        return np.where(inside, ix * self.ny + iy, -1), inside
+        flat = _flat_index(np.asarray(xy, dtype=np.float64), self.origin_x, self.origin_y, self.cell, self.nx, self.ny)
+        return flat, flat >= 0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -128,6 +126,17 @@ def measure_cells(
 
 @numba.njit(cache=True)
 @no_type_check
+def _flat_index(xy, origin_x, origin_y, cell, nx, ny):
+    flat = np.empty(len(xy), np.int64)
+    for k in range(len(xy)):
+        x, y = np.rint((xy[k, 0] - origin_x) / cell), np.rint((xy[k, 1] - origin_y) / cell)
+        inside = x >= 0 and x < nx and y >= 0 and y < ny
+        flat[k] = int(x) * ny + int(y) if inside else -1
+    return flat
+
+
+@numba.njit(cache=True)
+@no_type_check
 def _cell_statistics(points, sigma, flat, cells, min_points, upper, allowance, correlated, floor, steep):
     """Counting sort of the points by cell, then the statistics cell by cell."""
     counts = np.zeros(cells + 1, np.int64)
@@ -140,12 +149,17 @@ def _cell_statistics(points, sigma, flat, cells, min_points, upper, allowance, c
             used += 1
     starts = np.cumsum(counts)
     cursor = starts[:-1].copy()
-    order = np.empty(starts[-1], np.int64)
+    # One pass in the points' own order: reading them cell by cell would fetch each from a place of its own.
+    heights = np.empty(starts[-1])
+    sums = np.zeros((cells, 3))
     for k in range(len(flat)):
         c = flat[k]
         if c >= 0:
-            order[cursor[c]] = k
+            heights[cursor[c]] = points[k, 2]
             cursor[c] += 1
+            sums[c, 0] += points[k, 0]
+            sums[c, 1] += points[k, 1]
+            sums[c, 2] += 1.0 / (sigma[k] * sigma[k])
     index = np.empty(used, np.int64)
     height = np.empty(used)
     variance = np.empty(used)
@@ -156,28 +170,19 @@ def _cell_statistics(points, sigma, flat, cells, min_points, upper, allowance, c
         n = starts[c + 1] - starts[c]
         if n < min_points:
             continue
-        z = np.empty(n)
-        precision = 0.0
-        x = 0.0
-        y = 0.0
-        for k in range(n):
-            p = order[starts[c] + k]
-            z[k] = points[p, 2]
-            precision += 1.0 / (sigma[p] * sigma[p])
-            x += points[p, 0]
-            y += points[p, 1]
+        z = heights[starts[c] : starts[c + 1]]
         z.sort()
         median = 0.5 * (z[(n - 1) // 2] + z[n // 2])
         # Of few points the quantile is the last but one: one stray point never decides.
         high = z[max(min(int(np.ceil(upper * n)) - 1, n - 2), n // 2)]
-        point_variance = n / precision
+        point_variance = n / sums[c, 2]
         excess = max(high - median - allowance * np.sqrt(point_variance), 0.0)
         independent = max(n / correlated, 1.0)
         index[at] = c
         height[at] = median + excess
         variance[at] = point_variance / independent + floor * floor + (steep * excess) ** 2
         count[at] = n
-        centroid[at, 0] = x / n
-        centroid[at, 1] = y / n
+        centroid[at, 0] = sums[c, 0] / n
+        centroid[at, 1] = sums[c, 1] / n
         at += 1
     return index, height, variance, count, centroid

@@ -172,7 +172,8 @@ class TerrainMap:
         """
         c = self.config
         good = np.isfinite(points).all(axis=1) & np.isfinite(sigma_z) & (sigma_z > 0.0)
-        points, sigma_z = points[good], sigma_z[good]
+        if not good.all():
+            points, sigma_z = points[good], sigma_z[good]
         cells = measure_cells(points, sigma_z, layout=self.layout, config=c.elevation)
         take_in(
             self._cells, cells, t=t, gate_sigma=c.gate_sigma, gate_floor=c.gate_floor, drift_variance=c.drift_sigma**2,

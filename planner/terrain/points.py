@@ -6,9 +6,10 @@ far ground is bridged where both lie on one surface.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, no_type_check
 
 import cv2
+import numba
 import numpy as np
 
 from athlete_twin.geometry.arrays import Points3
@@ -27,45 +28,67 @@ def points_in_world(depth: DepthImage, world_from_camera: SE3, *, config: Fusion
         use &= (depth.sigma >= 0.0) & (depth.sigma <= config.max_sigma)
     if config.outliers == "neighbours":
         use &= _supported(depth)
-    rays, inverse, sigma = _bridged(depth, use, config)
-    z = 1.0 / inverse
-    rays_in_world = world_from_camera.rotate(rays)
-    points = rays_in_world * z[:, None] + world_from_camera.translation
-    # A wrong depth moves the point along its ray; on ground seen at a slant that is mostly sideways.
-    sigma_z = np.maximum(sigma * np.abs(rays_in_world[:, 2]), 1e-4)
+    eye, step = depth.eye, config.bridge_step_px / (depth.eye.focal_px * depth.camera.baseline)
+    points, sigma_z = _bridged(
+        depth.depth, depth.sigma, use, eye.focal_px, eye.cx_px, eye.cy_px, step, 0.5 * config.cell, config.bridge,
+        np.ascontiguousarray(world_from_camera.rotation), world_from_camera.translation,
+    )  # fmt: skip
     if config.outliers == "statistical":
         return _statistical(points, sigma_z, config)
     return points, sigma_z
 
 
-def _bridged(depth: DepthImage, use: np.ndarray, config: FusionConfig) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rays, inverse depths and sigmas of the used pixels and of points between them and the pixels below.
+@numba.njit(cache=True)
+@no_type_check
+def _bridged(depth, sigma, use, focal, cx, cy, most_step, spacing, most_pieces, rotation, translation):
+    """Used pixels and points between them and the pixels below, in world, and one sigma of their heights.
 
-    The inverse depth is linear along a plane's image, so the points between lie on the plane through both.
+    The inverse depth is linear along a plane's image, so the points between lie on the plane through both. They are half
+    a cell apart, which leaves no cell of the gap empty. Order: pixels row by row, then each gap's first point, second, ...
     """
-    rays = depth.eye.rays()
-    safe = np.where(use, depth.depth, 1.0)
-    inverse = 1.0 / safe
-    out = [(rays[use], inverse[use], depth.sigma[use])]
-    shift = depth.eye.focal_px * depth.camera.baseline
-    joined = use[:-1] & use[1:] & (np.abs(inverse[:-1] - inverse[1:]) * shift < config.bridge_step_px)
-    upper, lower = rays[:-1][joined], rays[1:][joined]
-    first, second = inverse[:-1][joined], inverse[1:][joined]
-    sigma = np.maximum(depth.sigma[:-1], depth.sigma[1:])[joined]
-    gap = np.linalg.norm(upper / first[:, None] - lower / second[:, None], axis=1)
-    # Points half a cell apart leave no cell of the gap empty.
-    pieces = np.minimum(np.ceil(gap / (0.5 * config.cell)), config.bridge)
-    for k in range(1, config.bridge):
-        some = pieces > k
-        at = (k / pieces[some])[:, None]
-        ray = (1.0 - at) * upper[some] + at * lower[some]
-        between = (1.0 - at[:, 0]) * first[some] + at[:, 0] * second[some]
-        out.append((ray, between, sigma[some]))
-    return (
-        np.concatenate([o[0] for o in out]),
-        np.concatenate([o[1] for o in out]),
-        np.concatenate([o[2] for o in out]),
-    )
+    rows, columns = depth.shape
+    pieces = np.zeros((rows, columns), np.int16)
+    sizes = np.zeros(max(most_pieces, 1), np.int64)
+    for r in range(rows):
+        for c in range(columns):
+            if not use[r, c]:
+                continue
+            sizes[0] += 1
+            if r + 1 == rows or not use[r + 1, c]:
+                continue
+            a, b = depth[r, c], depth[r + 1, c]
+            if abs(1.0 / a - 1.0 / b) >= most_step:
+                continue
+            u, va, vb = (c - cx) / focal, (r - cy) / focal, (r + 1 - cy) / focal
+            gap = np.sqrt((u * a - u * b) ** 2 + (va * a - vb * b) ** 2 + (a - b) ** 2)
+            n = min(int(np.ceil(gap / spacing)), most_pieces)
+            pieces[r, c] = n
+            for k in range(1, n):
+                sizes[k] += 1
+    ends = np.cumsum(sizes)
+    at = ends - sizes
+    points = np.empty((ends[-1], 3))
+    sigma_z = np.empty(ends[-1])
+    for r in range(rows):
+        for c in range(columns):
+            if not use[r, c]:
+                continue
+            u = (c - cx) / focal
+            for k in range(max(int(pieces[r, c]), 1)):
+                part = k / max(int(pieces[r, c]), 1)
+                v = (r + part - cy) / focal
+                z, s = depth[r, c], sigma[r, c]
+                if k > 0:
+                    z = 1.0 / ((1.0 - part) / depth[r, c] + part / depth[r + 1, c])
+                    s = max(s, sigma[r + 1, c])
+                i = at[k]
+                at[k] += 1
+                for axis in range(3):
+                    along = rotation[axis, 0] * u + rotation[axis, 1] * v + rotation[axis, 2]
+                    points[i, axis] = along * z + translation[axis]
+                # A wrong depth moves the point along its ray; on ground seen at a slant that is mostly sideways.
+                sigma_z[i] = max(s * abs(along), 1e-4)
+    return points, sigma_z
 
 
 def _supported(depth: DepthImage) -> np.ndarray:
