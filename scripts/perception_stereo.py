@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from bench_table import Row, row
 from report_style import png, subplots
 from stereo_scenes import Scene, scenes
 
@@ -33,7 +34,7 @@ BRACKET = (1.0, 4.0, 16.0)
 RIGHT_PX = 0.5
 
 
-def rows(*, robots: tuple[str, ...], scenes: int) -> list[dict[str, Any]]:
+def rows(*, robots: tuple[str, ...], scenes: int) -> list[Row]:
     """Rows of the benchmark table.
 
     Args:
@@ -68,7 +69,7 @@ def _asked(scene: Scene) -> np.ndarray:
     return np.asarray(scene.judged() & (depth > near) & (depth < 0.95 * far))
 
 
-def _calibration(robot: str, count: int) -> list[dict[str, Any]]:
+def _calibration(robot: str, count: int) -> list[Row]:
     by_group: dict[tuple[str, int, float], list[np.ndarray]] = {}
     for scene in scenes(robot, CAMERAS[robot], seeds=range(FIRST_SEED, FIRST_SEED + count)):
         depth = match(scene.pair(), scene.camera, config=StereoConfig())
@@ -80,11 +81,11 @@ def _calibration(robot: str, count: int) -> list[dict[str, Any]]:
         for limit, (low, high) in ((1, WITHIN_ONE), (2, WITHIN_TWO)):
             share = float(np.mean(z < limit))
             name = f"{robot} {group} binning {binning}, sun {sun:.0f} deg: |z| < {limit}"
-            out.append(_row(name, share, None, None, f"{low:.2f} to {high:.2f}", low <= share <= high))
+            out.append(row(name, share, "share", target=f"{low:.2f} - {high:.2f}"))
     return out
 
 
-def _brackets(robot: str, count: int) -> list[dict[str, Any]]:
+def _brackets(robot: str, count: int) -> list[Row]:
     names = ("bracket of 3", "12-bit single")
     right: dict[str, list[float]] = {name: [] for name in ("single", "mertens", "debevec", *names)}
     camera = CAMERAS[robot][:1]
@@ -101,10 +102,10 @@ def _brackets(robot: str, count: int) -> list[dict[str, Any]]:
     what = f"{robot} shadow pixels with right depth"
     best = share["bracket of 3"]
     return [
-        _row(f"{what}: bracket of 3", best, "one 8-bit pair", share["single"], ">= 1.0", best >= share["single"]),
-        _row(f"{what}: bracket of 3", best, "MergeMertens", share["mertens"], ">= 1.0", best >= share["mertens"]),
-        _row(f"{what}: bracket of 3", best, "MergeDebevec", share["debevec"], ">= 0.99", best >= 0.99 * share["debevec"]),
-        _row(f"{what}: 12-bit single", share["12-bit single"], "one 8-bit pair", share["single"], "-", None),
+        row(f"{what}: bracket of 3", best, "share", target=">= 1.0", of="ratio", peer_name="one 8-bit pair", peer=share["single"]),
+        row(f"{what}: bracket of 3", best, "share", target=">= 1.0", of="ratio", peer_name="MergeMertens", peer=share["mertens"]),
+        row(f"{what}: bracket of 3", best, "share", target=">= 0.99", of="ratio", peer_name="MergeDebevec", peer=share["debevec"]),
+        row(f"{what}: 12-bit single", share["12-bit single"], "share", peer_name="one 8-bit pair", peer=share["single"]),
     ]
 
 
@@ -147,13 +148,6 @@ def _debevec(pairs: Sequence[StereoPair]) -> StereoPair:
 
     left, right = toned(eye("left"), eye("right"), dark=1e-9, config=ExposureConfig())
     return replace(pairs[0], left=left, right=right)
-
-
-def _row(name: str, ours: float, peer_name: str | None, peer: float | None, target: str, met: bool | None) -> dict[str, Any]:
-    return {
-        "name": name, "ours": ours, "unit": "share", "peer_name": peer_name, "peer": peer,
-        "ratio": None if not peer else ours / peer, "target": target, "met": met,
-    }  # fmt: skip
 
 
 def _reliability(found: Sequence[Scene]) -> bytes:
