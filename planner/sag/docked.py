@@ -1,0 +1,192 @@
+"""Sag of a deck in three parts: rigid pieces joined by docks that twist, on the springs of the feet.
+
+T12's two Tri-ATHLETEs hang on a pallet by docks ([SunSpiral2012] s5.1.3). When a leg at a pallet corner is lifted, its deck twists
+against the pallet and its corner drops more than springs under the feet of one rigid body can say. Here each dock is a
+hinge with a spring: to the six unknowns of the pallet's pose comes one angle a dock. Solved is the balance of
+generalised forces: the derivative of the springs' and the weight's energy by all unknowns is zero.
+
+The feet's springs are those of `sag_model`, eqs 9-12, its smooth onset of the horizontal ones included; with rigid docks
+both models agree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import root
+
+from athlete_twin.errors import SagError
+from athlete_twin.geometry.arrays import Joints, PerLeg, Points3, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.spec import LEGS
+from planner.sag.sag_model import DOWN, SOFT_CONTACT, FootSprings, solve_sag
+from planner.stability.stability_map import leg_coms_in_hex
+
+TWIST = np.array([0.0, 1.0, 0.0])
+"""axis of a dock's twist in hex: across its plane, the Tri-ATHLETEs lying left and right of the pallet"""
+BALANCED = 1e-6
+"""generalised force that is left, over weight and size, at a solution"""
+
+
+STEP = 1e-6
+"""by which unknowns are varied for derivatives [m], [rad]"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Piece:
+    """What hangs on one dock: a deck with its legs, in a stance, unsagged."""
+
+    place_in_hex: Vec3
+    """a point of the dock's axis [m]"""
+    axis_in_hex: Vec3
+    """the dock twists about it"""
+    legs: tuple[int, ...]
+    """indices of the legs it carries"""
+    mass: float
+    """[kg]"""
+    com_in_hex: Vec3
+    """[m]"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DockedSag:
+    """The sagged robot. Believe it only where `converged`."""
+
+    unsagged_from_sagged: SE3
+    """pose of the sagged pallet in the unsagged hex frame"""
+    twists: np.ndarray
+    """angle of each dock [rad]"""
+    forces: Wheels
+    """of the ground on the feet, in the unsagged hex frame, shape (6, 3) [N]"""
+    converged: bool
+    pieces: tuple[Piece, ...]
+
+    def place(self, points_in_hex: Points3, legs: np.ndarray) -> np.ndarray:
+        """Where points of the unsagged robot go, shape (n, 3), in the unsagged hex frame [m].
+
+        Args:
+            points_in_hex: unsagged, shape (n, 3) [m].
+            legs: index of the leg whose deck each point belongs to, -1 for the pallet, shape (n,).
+        """
+        return _placed(points_in_hex, legs, self.unsagged_from_sagged, self.pieces, self.twists)
+
+
+def docked_pieces(kinematics: Kinematics, joints: Joints) -> tuple[Piece, ...]:
+    """The pieces of a stance by the drawings; none for a robot without docks."""
+    spec = kinematics.spec
+    leg_mass = sum(joint.link_mass for joint in spec.joints) + spec.wheel.mass
+    out = []
+    for deck in spec.decks:
+        coms = [leg_coms_in_hex(spec, leg, joints[leg : leg + 1])[0] for leg in deck.legs]
+        mass = deck.mass + leg_mass * len(deck.legs)
+        com = (deck.mass * deck.part.centre + leg_mass * np.sum(coms, axis=0)) / mass
+        out.append(Piece(place_in_hex=deck.dock, axis_in_hex=TWIST, legs=deck.legs, mass=mass, com_in_hex=com))
+    return tuple(out)
+
+
+def solve_docked(
+    feet_in_hex: Wheels,
+    com_in_hex: Vec3,
+    weight: float,
+    *,
+    pieces: tuple[Piece, ...],
+    twist_stiffness: float,
+    stiffness_z: PerLeg,
+    lateral_ratio: float,
+    lifts: PerLeg,
+    gravity_in_hex: Vec3 = DOWN,
+) -> DockedSag:
+    """Sag with a spring under each foot and one in each dock.
+
+    Args:
+        feet_in_hex: where the springs hold the feet, unsagged, shape (6, 3) [m].
+        com_in_hex: centre of mass of the whole robot, unsagged [m].
+        weight: of the whole robot [N].
+        pieces: what hangs on the docks; the rest is the pallet's.
+        twist_stiffness: of a dock [N m/rad].
+        stiffness_z: of the feet along gravity, shape (6,) [N/m].
+        lateral_ratio: horizontal over vertical stiffness.
+        lifts: of the unsagged feet above the ground, shape (6,) [m], as `solve_sag` takes them.
+        gravity_in_hex: where gravity points.
+    """
+    if not (np.isfinite(twist_stiffness) and twist_stiffness > 0.0):
+        raise SagError(f"twist stiffness is {twist_stiffness} N m/rad, must be positive; docks that do not twist are solve_sag's")
+    # The rigid solution checks the arguments and is where the search begins.
+    rigid = solve_sag(
+        feet_in_hex, com_in_hex, weight, stiffness_z=stiffness_z, lateral_ratio=lateral_ratio, lifts=lifts,
+        gravity_in_hex=gravity_in_hex,
+    )  # fmt: skip
+    springs = FootSprings(stiffness_z=stiffness_z, lateral_ratio=lateral_ratio)
+    down = np.asarray(gravity_in_hex, dtype=float) / np.linalg.norm(gravity_in_hex)
+    hanging = GRAVITY * sum(piece.mass for piece in pieces)
+    if hanging >= weight:
+        raise SagError(f"the pieces on the docks weigh {hanging:.0f} N, the whole robot {weight:.0f} N")
+    weights = np.array([*(GRAVITY * piece.mass for piece in pieces), weight - hanging])
+    moments = sum((w * piece.com_in_hex for w, piece in zip(weights[:-1], pieces, strict=True)), np.zeros(3))
+    coms = np.array([*(piece.com_in_hex for piece in pieces), (weight * com_in_hex - moments) / weights[-1]])
+    size = float(np.linalg.norm(feet_in_hex - feet_in_hex.mean(axis=0), axis=1).mean())
+
+    def balance(x: np.ndarray) -> np.ndarray:
+        pose, twists = _pose(x), x[6:]
+        feet = _placed(feet_in_hex, np.arange(LEGS), pose, pieces, twists)
+        forces = _foot_forces(feet - feet_in_hex, springs, lifts, -down)
+        centres = _placed(coms, np.array([*(piece.legs[0] for piece in pieces), -1]), pose, pieces, twists)
+        loads = weights[:, None] * down
+        about = pose.translation
+        total = forces.sum(axis=0) + loads.sum(axis=0)
+        moment = np.cross(feet - about, forces).sum(axis=0) + np.cross(centres - about, loads).sum(axis=0)
+        twisting = []
+        for number, piece in enumerate(pieces):
+            axis, through = pose.rotate(piece.axis_in_hex), pose.apply(piece.place_in_hex)
+            mine = list(piece.legs)
+            turning = np.cross(feet[mine] - through, forces[mine]).sum(axis=0) + np.cross(centres[number] - through, loads[number])
+            twisting.append(float(axis @ turning) - twist_stiffness * x[6 + number])
+        return np.concatenate([total / weight, moment / (weight * size), np.array(twisting) / (weight * size)])
+
+    start = rigid.unsagged_from_sagged
+    begin = np.concatenate([start.translation, start.rotvec(), np.zeros(len(pieces))])
+    found = root(balance, begin, jac=lambda x: _derivative(balance, x), method="hybr", options={"xtol": 1e-12})
+    moved = _placed(feet_in_hex, np.arange(LEGS), _pose(found.x), pieces, found.x[6:]) - feet_in_hex
+    return DockedSag(
+        unsagged_from_sagged=_pose(found.x), twists=found.x[6:], pieces=pieces,
+        forces=_foot_forces(moved, springs, lifts, -down),
+        converged=bool(rigid.converged and np.abs(found.fun).max() < BALANCED),
+    )  # fmt: skip
+
+
+def _placed(points: np.ndarray, legs: np.ndarray, pose: SE3, pieces: tuple[Piece, ...], twists: np.ndarray) -> np.ndarray:
+    """Unsagged points (n, 3), each of a leg's deck or (-1) of the pallet, turned by the docks and moved by the pose."""
+    out = np.array(points, dtype=float)
+    for piece, twist in zip(pieces, twists, strict=True):
+        turned = np.isin(legs, piece.legs)
+        out[turned] = _hinge(piece, float(twist)).apply(out[turned])
+    return pose.apply(out)
+
+
+def _derivative(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
+    """By central differences of one absolute step: unknowns that are zero at the start need no smaller one."""
+    steps = STEP * np.eye(len(x))
+    return np.array([(function(x + step) - function(x - step)) / (2.0 * STEP) for step in steps]).T
+
+
+def _pose(x: np.ndarray) -> SE3:
+    return SE3.from_rotvec(x[3:6], x[:3])
+
+
+def _hinge(piece: Piece, twist: float) -> SE3:
+    """Turns points of a piece about its dock's axis."""
+    turn = SE3.from_rotvec(twist * piece.axis_in_hex, np.zeros(3))
+    return SE3(turn.rotation, piece.place_in_hex - turn.rotation @ piece.place_in_hex)
+
+
+def _foot_forces(moved: np.ndarray, springs: FootSprings, lifts: np.ndarray, up: np.ndarray) -> np.ndarray:
+    """Forces of the ground on feet moved from their unsagged places (6, 3) [m], shape (6, 3) [N]; eqs 10-12."""
+    along = moved @ up
+    compression = np.maximum(-along - np.asarray(lifts, dtype=float), 0.0)
+    s = np.minimum(compression / SOFT_CONTACT, 1.0)
+    side = springs.lateral_ratio * springs.stiffness_z * s * s * (3.0 - 2.0 * s)
+    sideways = moved - along[:, None] * up
+    return np.asarray((springs.stiffness_z * compression)[:, None] * up - side[:, None] * sideways)

@@ -1,0 +1,125 @@
+import numpy as np
+import pytest
+from scipy.optimize import minimize
+
+from athlete_twin.errors import SagError
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.kinematics import GRAVITY, kinematics
+from athlete_twin.model.spec import load_spec
+from athlete_twin.model.stance import regular_stance
+from planner.sag.docked import docked_pieces, solve_docked
+from planner.sag.identify import MeasuredStance
+from planner.sag.identify_docks import identify_docks, predict_docked_heights
+from planner.sag.sag_model import AIRBORNE, solve_sag
+
+SPEC = load_spec("t12")
+KIN = kinematics("t12")
+JOINTS = regular_stance(SPEC)
+FEET = KIN.wheels_in_hex(JOINTS) - [0.0, 0.0, SPEC.wheel.radius]
+COM = KIN.com_in_hex(JOINTS)
+WEIGHT = SPEC.mass * GRAVITY
+PIECES = docked_pieces(KIN, JOINTS)
+K, RATIO, TWIST = np.full(6, 60e3), 0.5, 4e5
+CORNERS = np.array(SPEC.hips_in_hex)
+LEGS = np.arange(6)
+
+
+def _lifted(*legs):
+    lifts = np.zeros(6)
+    lifts[list(legs)] = AIRBORNE
+    return lifts
+
+
+def _solve(lifts, twist=TWIST, pieces=PIECES):
+    return solve_docked(
+        FEET, COM, WEIGHT, pieces=pieces, twist_stiffness=twist, stiffness_z=K, lateral_ratio=RATIO, lifts=lifts
+    )
+
+
+def test_pieces_and_pallet_weigh_what_the_robot_weighs():
+    assert sum(p.mass for p in PIECES) + SPEC.body_mass == pytest.approx(SPEC.mass)
+    moment = sum(p.mass * p.com_in_hex for p in PIECES) + SPEC.body_mass * SPEC.body_com
+    np.testing.assert_allclose(moment / SPEC.mass, COM, atol=1e-9)
+    assert docked_pieces(kinematics("sdm_b"), regular_stance(load_spec("sdm_b"))) == ()
+
+
+@pytest.mark.parametrize("legs", [(), (0,), (1,), (2, 5)])
+def test_rigid_docks_give_the_rigid_robots_sag(legs):
+    docked = _solve(_lifted(*legs), twist=1e12)
+    rigid = solve_sag(FEET, COM, WEIGHT, stiffness_z=K, lateral_ratio=RATIO, lifts=_lifted(*legs))
+    assert docked.converged
+    np.testing.assert_allclose(docked.place(CORNERS, LEGS), rigid.unsagged_from_sagged.apply(CORNERS), atol=1e-6)
+    np.testing.assert_allclose(docked.forces, rigid.forces, atol=0.01)
+
+
+@pytest.mark.parametrize("legs", [(), (0,), (1,), (0, 3)])
+def test_the_solution_has_the_least_energy(legs):
+    """Springs of feet and docks and the weight's height, minimised without any equation of balance."""
+    lifts = _lifted(*legs)
+    found = _solve(lifts)
+    masses = np.array([p.mass for p in PIECES])
+    pallet = (SPEC.mass * COM - sum(p.mass * p.com_in_hex for p in PIECES)) / (SPEC.mass - masses.sum())
+
+    def energy(x):
+        pose = SE3.from_rotvec(0.01 * x[3:6], 0.01 * x[:3])
+        hinges = []
+        for p, twist in zip(PIECES, 0.01 * x[6:], strict=True):
+            turn = SE3.from_rotvec(twist * p.axis_in_hex, np.zeros(3))
+            hinges.append(SE3(turn.rotation, p.place_in_hex - turn.rotation @ p.place_in_hex))
+        feet = np.array([pose.apply(hinges[0 if leg < 3 else 1].apply(FEET[leg])) for leg in range(6)])
+        moved = feet - FEET
+        compression = np.maximum(-moved[:, 2] - lifts, 0.0)
+        out = 0.5 * np.sum(K * compression**2) + 0.5 * TWIST * np.sum((0.01 * x[6:]) ** 2)
+        out += 0.5 * np.sum((RATIO * K * (compression > 0.0))[:, None] * moved[:, :2] ** 2)
+        for p, hinge in zip(PIECES, hinges, strict=True):
+            out += p.mass * GRAVITY * pose.apply(hinge.apply(p.com_in_hex))[2]
+        return (out + (SPEC.mass - masses.sum()) * GRAVITY * pose.apply(pallet)[2]) / 100.0
+
+    at = np.concatenate([found.unsagged_from_sagged.translation, found.unsagged_from_sagged.rotvec(), found.twists]) / 0.01
+    best = minimize(energy, at + 0.05, method="BFGS", options={"gtol": 1e-7})
+    np.testing.assert_allclose(0.01 * best.x, 0.01 * at, atol=5e-5)
+
+
+def test_a_pallet_corners_leg_drops_its_corner_more_than_a_rigid_deck_can():
+    """[SunSpiral2012] s5.1.3, figure 12 C against B."""
+    drop = {}
+    for leg in (1, 2):
+        rigid = solve_sag(FEET, COM, WEIGHT, stiffness_z=K, lateral_ratio=RATIO, lifts=_lifted(leg))
+        docked = _solve(_lifted(leg))
+        drop[leg] = (rigid.unsagged_from_sagged.apply(CORNERS) - docked.place(CORNERS, LEGS))[leg, 2]
+    assert drop[2] > 0.01
+    assert abs(drop[1]) < 0.2 * drop[2]
+
+
+def _measured(legs, stiffness, twist, noise=0.0, seed=0):
+    lifts = _lifted(*legs)
+    blank = MeasuredStance(
+        feet_in_hex=FEET, com_in_hex=COM, weight=WEIGHT, lifts=lifts, corners_in_hex=CORNERS, heights=np.zeros(6),
+        origin_height=SPEC.chassis_height,
+    )  # fmt: skip
+    heights = predict_docked_heights(blank, PIECES, stiffness=stiffness, twist_stiffness=twist, lateral_ratio=RATIO)
+    heights = heights + np.random.default_rng(seed).normal(0.0, noise, 6)
+    return MeasuredStance(
+        feet_in_hex=FEET, com_in_hex=COM, weight=WEIGHT, lifts=lifts, corners_in_hex=CORNERS, heights=heights,
+        origin_height=SPEC.chassis_height,
+    )  # fmt: skip
+
+
+def test_both_constants_are_found_again_from_noisy_heights():
+    stances = [_measured(legs, 55e3, 5e5, noise=0.003, seed=k) for k, legs in enumerate([(), (0,), (1,), (2,), (0, 3)])]
+    fit = identify_docks(stances, [PIECES] * 5, start=40e3)
+    assert fit.stiffness == pytest.approx(55e3, rel=0.04)
+    assert fit.twist_stiffness == pytest.approx(5e5, rel=0.2)
+    assert fit.mean_error < 0.003
+
+
+def test_wrong_use_is_refused():
+    with pytest.raises(SagError, match="0.0 N m/rad, must be positive"):
+        _solve(np.zeros(6), twist=0.0)
+    with pytest.raises(SagError, match="the whole robot"):
+        solve_docked(
+            FEET, COM, 1000.0, pieces=PIECES, twist_stiffness=TWIST, stiffness_z=K, lateral_ratio=RATIO, lifts=np.zeros(6)
+        )
+    with pytest.raises(SagError, match="needs its own"):
+        identify_docks([_measured((), 55e3, 5e5)], [()], start=40e3)
+    assert not _solve(_lifted(0, 1, 2, 5)).converged
