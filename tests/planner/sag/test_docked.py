@@ -114,7 +114,7 @@ def test_both_constants_are_found_again_from_noisy_heights():
 
 
 def test_wrong_use_is_refused():
-    with pytest.raises(SagError, match="0.0 N m/rad, must be positive"):
+    with pytest.raises(SagError, match=r"0.0 N m/rad, must be positive"):
         _solve(np.zeros(6), twist=0.0)
     with pytest.raises(SagError, match="the whole robot"):
         solve_docked(

@@ -146,7 +146,7 @@ def test_wrong_use_of_the_finer_calibrations_is_refused():
         identify_per_wheel(stances[:1], start=18e3, instrument_sigma=MILLIMETRE)
     with pytest.raises(SagError, match=r"-1.0 N/m, must be positive"):
         identify_per_wheel(stances, start=-1.0, instrument_sigma=MILLIMETRE)
-    with pytest.raises(SagError, match="sigma is 0.0 m"):
+    with pytest.raises(SagError, match=r"sigma is 0.0 m"):
         identify_per_wheel(stances, start=18e3, instrument_sigma=0.0)
     with pytest.raises(SagError, match="do not tell the constant of wheel 5"):
         identify_per_wheel(_stances(UNEQUAL, lifted=((4,), (4, 1), (4,))), start=18e3, instrument_sigma=MILLIMETRE)
