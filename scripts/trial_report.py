@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import html
+import math
 import sys
 from pathlib import Path
 from typing import Annotated, Any
@@ -16,6 +17,7 @@ from typing import Annotated, Any
 import tyro
 from report_eyes import eyes_figure
 from report_maps import map_error_figure, maps_figure
+from report_sag import measured_sags, sag_figure
 from report_series import series_figure, timeline_figure
 from report_style import BIN_COLOURS, LEG_COLOURS
 from trial_recording import BINS, TrialRecording, load_recording
@@ -105,6 +107,12 @@ def report_html(trial: TrialRecording) -> str:
             "wheels only, so the margin drops whenever a leg swings; the rule holds for the support margin then, and for "
             "the conservative polygon with all wheels down." + _collision_note(trial),
             series_figure(trial),
+        ),
+        _picture(
+            "Sag, foreseen and measured",
+            "By how much the chassis drops at its origin, or turns at the hip, while a leg is in the air: what the ground "
+            "told the operator before each step, and what the robot did.",
+            sag_figure(trial),
         ),
         _picture("Who waited for whom", "", timeline_figure(trial)),
         _all_figures(f),
@@ -204,22 +212,23 @@ def _all_figures(f: dict[str, Any]) -> str:
 
 def _proposals(trial: TrialRecording) -> str:
     rows = []
-    for p in trial.proposals:
+    for p, measured in zip(trial.proposals, measured_sags(trial), strict=True):
         colour = LEG_COLOURS[p.leg] if p.leg >= 0 else "#6b7280"
         disc = f'<span class="disc" style="background:{colour}">{p.leg + 1 if p.leg >= 0 else "–"}</span>'
         kind = ' class="rejected"' if p.decision not in ("approve", "") else ""
         rows.append(
             f'<tr{kind}><td class="n">{p.index}</td><td class="n">{_stamp(p.t)}</td><td>{disc}</td><td>{html.escape(p.text)}</td>'
             f'<td class="n">{_metres(p.margin)}</td><td class="n">{_millimetres(p.sag)}</td>'
+            f'<td class="n">{_millimetres(float(measured) if math.isfinite(measured) else None)}</td>'
             f"<td>{html.escape(p.decision.replace('_', ' ')) or 'none'}</td></tr>"
         )
     table = (
         '<div class="scroll"><table><tr><th class="n">no.</th><th class="n">time</th><th>leg</th><th>what was proposed</th>'
-        f'<th class="n">least margin</th><th class="n">sag</th><th>decision</th></tr>{"".join(rows)}</table></div>'
+        f'<th class="n">least margin</th><th class="n">sag</th><th class="n">measured</th><th>decision</th></tr>{"".join(rows)}</table></div>'
     )
     if len(rows) > MANY_PROPOSALS:
         table = f"<details><summary>{len(rows)} proposals</summary>{table}</details>"
-    words = "Margin and sag are the ground's predictions." if rows else "Nothing."
+    words = "Margin and sag are the ground's predictions; beside the sag stands what was measured." if rows else "Nothing."
     return f"<section><h2>What was proposed and decided</h2><p>{words}</p>{table if rows else ''}</section>"
 
 

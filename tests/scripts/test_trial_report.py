@@ -2,6 +2,7 @@ import importlib.util
 import re
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
@@ -34,8 +35,8 @@ def imported(*names):
         sys.path.remove(str(ROOT / "scripts"))
 
 
-trial_report, trial_film, trial_recording, onlooker = imported(
-    "trial_report", "trial_film", "trial_recording", "onlooker"
+trial_report, trial_film, trial_recording, onlooker, report_sag = imported(
+    "trial_report", "trial_film", "trial_recording", "onlooker", "report_sag"
 )
 
 
@@ -194,3 +195,23 @@ def test_folder_without_a_trial_is_one_line_and_status_two(script, tmp_path, cap
     assert script.main([str(tmp_path)]) == 2
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 1 and "trial.json is missing" in lines[0]
+
+
+def test_measured_sag_is_what_the_chassis_does_while_the_leg_is_in_the_air():
+    """A chassis that drops 3 cm and tilts by 0.01 rad while leg 2 swings, and whatever it does later."""
+    times = np.arange(0.0, 10.0, 0.5)
+    in_air = (times >= 2.0) & (times < 6.0)
+    heights = 1.7 - 0.03 * in_air - 0.5 * (times > 8.0)
+    tilts = 0.01 * in_air
+    poses = [SE3.from_rpy(0.0, tilt, 0.0, np.array([0.0, 0.0, z])) for tilt, z in zip(tilts, heights, strict=True)]
+    steps = tuple(
+        SimpleNamespace(kind=kind, decision=decision, t=t, decided=t + 0.5, leg=1)
+        for kind, decision, t in (("step", "approve", 0.5), ("step", "reject", 9.0), ("survey", "approve", 9.4))
+    )
+    trial = SimpleNamespace(
+        proposals=steps, spec=load_spec("sdm_b"), track=SimpleNamespace(t=times, world_from_hex=poses),
+        states=SimpleNamespace(t=times, phases=[("stance", "swing" if up else "stance") for up in in_air]),
+    )  # fmt: skip
+    measured = report_sag.measured_sags(trial)
+    assert measured[0] == pytest.approx(0.03)
+    assert np.isnan(measured[1:]).all()
