@@ -224,7 +224,8 @@ def _proposals(trial: TrialRecording) -> str:
         )
     table = (
         '<div class="scroll"><table><tr><th class="n">no.</th><th class="n">time</th><th>leg</th><th>what was proposed</th>'
-        f'<th class="n">least margin</th><th class="n">sag</th><th class="n">measured</th><th>decision</th></tr>{"".join(rows)}</table></div>'
+        '<th class="n">least margin</th><th class="n">sag</th><th class="n">measured</th><th>decision</th></tr>'
+        f'{"".join(rows)}</table></div>'
     )
     if len(rows) > MANY_PROPOSALS:
         table = f"<details><summary>{len(rows)} proposals</summary>{table}</details>"
