@@ -42,7 +42,6 @@ from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.recovery import LOWERINGS, Recovery
-from planner.sag.sag_model import FootSprings
 from planner.sequence import as_sequence, lower_commands, step_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
@@ -95,7 +94,7 @@ class GroundAgent:
         self.spec, self.config = spec, config
         self.goal = np.asarray(goal_in_world, dtype=float)
         self.kin = Kinematics(spec)
-        self.springs = FootSprings.from_spec(spec)
+        self.springs = config.step.sag.springs(spec)
         self.eyes = Eyes(self.kin, config, timer=timer)
         self.steps_taken = 0
         self.stepped: Counter[int] = Counter()

@@ -18,6 +18,7 @@ import numpy as np
 from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.spec import RobotSpec
 from planner.sag.sag_model import AIRBORNE, DOWN, FootSprings, SagSolution, solve_sag
 
 METHODS = ("none", "raise_terrain", "springs")
@@ -33,8 +34,18 @@ class SagConfig:
     """"none", "raise_terrain" or "springs" """
     terrain_raise: float = TERRAIN_RAISE
     """by how much "raise_terrain" lifts the map and the commanded lift [m]"""
+    stiffness_z: tuple[float, ...] | None = None
+    """constant of each foot as it was measured on this robot (`identify_per_wheel`), six [N/m]; the drawings' when None"""
+
+    def springs(self, spec: RobotSpec) -> FootSprings:
+        """What the ground believes of the feet."""
+        if self.stiffness_z is None:
+            return FootSprings.from_spec(spec)
+        return FootSprings(stiffness_z=np.array(self.stiffness_z), lateral_ratio=spec.believed_lateral_ratio)
 
     def __post_init__(self) -> None:
+        if self.stiffness_z is not None:
+            FootSprings(stiffness_z=np.array(self.stiffness_z, dtype=float), lateral_ratio=1.0)
         if self.method not in METHODS:
             raise SagError(f"sag method {self.method!r} is not one of {', '.join(METHODS)}")
         if not 0.0 <= self.terrain_raise <= 1.0:

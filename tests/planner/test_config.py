@@ -58,6 +58,18 @@ def test_settings_reach_their_stage_and_wrong_ones_are_refused():
         planner_config(base | {"settings": {"feet": {}}}, load_spec("sdm_b"), name="x")
 
 
+def test_constants_measured_on_a_robot_take_the_place_of_the_drawings():
+    base, spec = content("integrated"), load_spec("t12")
+    drawn = planner_config(base, spec, name="x").step.sag.springs(spec)
+    assert drawn.stiffness_z.tolist() == [spec.believed_foot_stiffness] * 6
+    measured = [61e3, 48e3, 60e3, 62e3, 45e3, 64e3]
+    config = planner_config(base | {"settings": {"sag": {"stiffness_z": measured}}}, spec, name="x")
+    assert config.step.sag.springs(spec).stiffness_z.tolist() == measured
+    for wrong in ([1.0, 2.0], [61e3, 48e3, 60e3, 62e3, 0.0, 64e3]):
+        with pytest.raises(ConfigError, match=r"\[settings.sag\] spring constants are .*, need six positive ones"):
+            planner_config(base | {"settings": {"sag": {"stiffness_z": wrong}}}, spec, name="x")
+
+
 def test_a_tilt_to_leave_alone_must_be_a_small_angle():
     with pytest.raises(ConfigError, match=r"level_deck_deg = 90 is not a number from 0 to 20"):
         planner_config(content("integrated") | {"level_deck_deg": 90}, load_spec("sdm_b"), name="x")
