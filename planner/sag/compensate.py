@@ -18,7 +18,7 @@ import numpy as np
 from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.model.spec import RobotSpec
+from athlete_twin.model.spec import LEGS, RobotSpec
 from planner.sag.sag_model import AIRBORNE, DOWN, FootSprings, SagSolution, solve_sag
 
 METHODS = ("none", "raise_terrain", "springs")
@@ -44,8 +44,8 @@ class SagConfig:
         return FootSprings(stiffness_z=np.array(self.stiffness_z), lateral_ratio=spec.believed_lateral_ratio)
 
     def __post_init__(self) -> None:
-        if self.stiffness_z is not None:
-            FootSprings(stiffness_z=np.array(self.stiffness_z, dtype=float), lateral_ratio=1.0)
+        if self.stiffness_z is not None and not (len(self.stiffness_z) == LEGS and min(self.stiffness_z) > 0.0):
+            raise SagError(f"stiffness_z is {list(self.stiffness_z)} N/m, need six positive constants")
         if self.method not in METHODS:
             raise SagError(f"sag method {self.method!r} is not one of {', '.join(METHODS)}")
         if not 0.0 <= self.terrain_raise <= 1.0:
