@@ -112,18 +112,18 @@ def stability_map(
 
     contacts = world_from_hex.apply(kinematics.wheels_in_hex(joints)) - radius * up_in_world
     others = np.delete(contacts, leg, axis=0)
-    com_landed = world_from_hex.apply(_com_with_leg(kinematics, joints, leg, q, payload_kg))
-    com_swing = world_from_hex.apply(_com_with_leg(kinematics, joints, leg, lifted, payload_kg))
-    landed = np.broadcast_to(contacts, (n, 6, 3)).copy()
-    landed[:, leg] = places
+    r = reachable
+    com_landed = world_from_hex.apply(_com_with_leg(kinematics, joints, leg, q[r], payload_kg))
+    com_swing = world_from_hex.apply(_com_with_leg(kinematics, joints, leg, lifted[r], payload_kg))
+    landed = np.broadcast_to(contacts, (len(com_landed), 6, 3)).copy()
+    landed[:, leg] = places[r]
 
     margin, cps, swing, energy = (np.full(n, np.nan) for _ in range(4))
-    r = reachable
-    margin[r] = signed_distances(com_landed[r, :2], landed[r, :, :2])
-    cps[r] = conservative_distances(com_landed[r, :2], landed[r, :, :2])
-    swing[r] = signed_distances(com_swing[r, :2], np.broadcast_to(others[:, :2], (int(r.sum()), 5, 2)))
+    margin[r] = signed_distances(com_landed[:, :2], landed[:, :, :2])
+    cps[r] = conservative_distances(com_landed[:, :2], landed[:, :, :2])
+    swing[r] = signed_distances(com_swing[:, :2], np.broadcast_to(others[:, :2], (len(com_swing), 5, 2)))
     if config.all_down == "energy":
-        energy[r] = [cps_tip_over_energy(c, w) for c, w in zip(com_landed[r], landed[r], strict=True)]
+        energy[r] = [cps_tip_over_energy(c, w) for c, w in zip(com_landed, landed, strict=True)]
 
     stands = {
         "cps": cps >= config.min_margin,
