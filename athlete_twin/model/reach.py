@@ -30,7 +30,7 @@ def leg_ik(
     leg: int,
     wheels_in_hex: Points3,
     *,
-    last_link_in_hex: Vec3 = DOWN,
+    last_link_in_hex: Vec3 | Points3 = DOWN,
     hip_pitch: float | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Joint angles that put the axle of one leg at each of n points, shape (n, dof) [rad], and which of them exist (n,).
@@ -40,7 +40,7 @@ def leg_ik(
         leg: index 0 to 5.
         wheels_in_hex: wanted axle centres, shape (n, 3) [m].
         last_link_in_hex: direction the last link shall point to, projected into the leg's plane; down in world for a
-            chassis that is not level.
+            chassis that is not level. One for all points, (3,), or one for each, (n, 3).
         hip_pitch: of a leg with two thighs [rad]; by the drawings' rule when None.
 
     Rows that do not exist (out of reach, or beyond a joint's limit) are NaN.
@@ -49,7 +49,7 @@ def leg_ik(
     if points.ndim != 2 or points.shape[1] != 3:
         raise KinematicsError(f"wheel positions have shape {points.shape}, need (n, 3)")
     d = points - spec.hips_in_hex[leg]
-    return _solve(spec, d, spec.hip_azimuths[leg], last_link_in_hex, hip_pitch)
+    return _solve(spec, d, spec.hip_azimuths[leg], np.asarray(last_link_in_hex).T, hip_pitch)
 
 
 def all_legs_ik(

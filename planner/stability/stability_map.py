@@ -113,8 +113,8 @@ def stability_map(
     contacts = world_from_hex.apply(kinematics.wheels_in_hex(joints)) - radius * up_in_world
     others = np.delete(contacts, leg, axis=0)
     r = reachable
-    com_landed = world_from_hex.apply(_com_with_leg(kinematics, joints, leg, q[r], payload_kg))
-    com_swing = world_from_hex.apply(_com_with_leg(kinematics, joints, leg, lifted[r], payload_kg))
+    com_landed = world_from_hex.apply(com_with_leg(kinematics, joints, leg, q[r], payload_kg))
+    com_swing = world_from_hex.apply(com_with_leg(kinematics, joints, leg, lifted[r], payload_kg))
     landed = np.broadcast_to(contacts, (len(com_landed), 6, 3)).copy()
     landed[:, leg] = places[r]
 
@@ -148,8 +148,8 @@ def stability_map(
     )
 
 
-def _com_with_leg(kinematics: Kinematics, joints: Joints, leg: int, q: np.ndarray, payload_kg: float) -> np.ndarray:
-    """Centre of mass in hex with one leg in each of n configurations, shape (n, 3) [m]."""
+def com_with_leg(kinematics: Kinematics, joints: Joints, leg: int, q: np.ndarray, payload_kg: float) -> np.ndarray:
+    """Centre of mass in hex with one leg in each of n configurations (n, dof), shape (n, 3) [m]."""
     spec = kinematics.spec
     leg_mass = sum(j.link_mass for j in spec.joints) + spec.wheel.mass
     mass = spec.mass + payload_kg

@@ -1,0 +1,95 @@
+"""How fast and how true the stability map is: seconds for all six legs, and its reach against brute-force inverse kinematics."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+from bench_table import Row, row
+from stability_oracle import reaches
+from stability_scene import SIZES, StabilityScene, stability_scene
+
+from athlete_twin.model.spec import LEGS
+from planner.stability.ground_map import LAST_LINK, UNKNOWN, UNREACHABLE, GroundMap, ground_maps
+
+QUICK, WHOLE, FALSE, MISSED = "<= 1.0", "<= 3.0", "<= 0.005", "<= 0.03"
+"""targets: seconds without and with collisions, shares of cells"""
+RUNS = 3
+PEER_NAME = "scipy's bounded least squares a cell, first start"
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def rows(*, robots: tuple[str, ...], cells: int, seed: int = 0) -> list[Row]:
+    """Times and truth of the map, robot by robot.
+
+    Args:
+        robots: by name.
+        cells: how many near a leg, drawn at random, the brute force is asked about.
+        seed: of the rock field and of the draw.
+    """
+    return [one for robot in robots for one in _rows(robot, cells, seed)]
+
+
+def _rows(robot: str, cells: int, seed: int) -> list[Row]:
+    scene = stability_scene(robot, seed)
+    size, cell = SIZES[robot]
+    name = f"{robot}: stability map of {size:g} x {size:g} m at {100 * cell:g} cm, six legs"
+    quick, maps = _seconds(scene, collision=False)
+    whole, judged = _seconds(scene, collision=True)
+    asked, ours, oracle, seconds = _against_oracle(scene, maps, cells, seed)
+    both = seconds / asked * LEGS * scene.terrain.heights.size
+    share = {name: sum(m.counts()[name] for m in judged) / sum(m.reason.size for m in judged) for name in judged[0].counts()}
+    return [
+        row(f"{name}, without collisions", quick, "s", target=QUICK, peer_name=PEER_NAME, peer=both),
+        row(f"{name}, with collisions", whole, "s", target=WHOLE),
+        row(f"{robot}: cells called reachable that brute force does not reach", _share(ours & ~oracle, ours), "share", target=FALSE),
+        row(f"{robot}: cells that brute force reaches and are called out of reach", _share(oracle & ~ours, oracle), "share", target=MISSED),
+        *(row(f"{robot}: share of cells, {reason}", value, "share") for reason, value in share.items()),
+    ]
+
+
+def _seconds(scene: StabilityScene, *, collision: bool) -> tuple[float, tuple[GroundMap, ...]]:
+    """The best of some runs: other jobs on the machine only add; the first one compiles and is left out."""
+    best, maps = np.inf, ()
+    for run in range(1 + RUNS):
+        start = time.perf_counter()
+        maps = ground_maps(
+            scene.kinematics, scene.joints, terrain=scene.terrain, world_from_hex=scene.world_from_hex,
+            config=scene.config(collision=collision), footfalls=scene.footfalls,
+        )  # fmt: skip
+        best = min(best, time.perf_counter() - start) if run else np.inf
+    return best, maps
+
+
+def _against_oracle(
+    scene: StabilityScene, maps: tuple[GroundMap, ...], cells: int, seed: int
+) -> tuple[int, np.ndarray, np.ndarray, float]:
+    """How many cells were asked about, which we and which brute force call reachable, and seconds of its first starts."""
+    rng = np.random.default_rng([seed, 17])
+    spec, lift = scene.kinematics.spec, scene.config(collision=False).lift
+    hex_from_world = scene.world_from_hex.inverse()
+    plumb = hex_from_world.rotate(-UP)
+    x, y = scene.terrain.centres()
+    ours, oracle, seconds = [], [], 0.0
+    while len(ours) < cells:
+        leg, ix, iy = int(rng.integers(LEGS)), int(rng.integers(len(x))), int(rng.integers(len(y)))
+        ground = np.array([x[ix], y[iy], scene.terrain.heights[ix, iy]])
+        hip = scene.world_from_hex.apply(spec.hips_in_hex[leg])
+        if np.hypot(*(ground - hip)[:2]) > _farthest(scene):
+            continue
+        wheels = [hex_from_world.apply(ground + (spec.wheel.radius + up) * UP) for up in (0.0, lift)]
+        start = time.perf_counter()
+        oracle.append(all(reaches(scene.kinematics, leg, wheel, plumb, rng=rng) for wheel in wheels))
+        seconds += time.perf_counter() - start
+        ours.append(int(maps[leg].reason[ix, iy]) not in (UNKNOWN, UNREACHABLE, LAST_LINK))
+    return len(ours), np.array(ours), np.array(oracle), seconds
+
+
+def _farthest(scene: StabilityScene) -> float:
+    """Horizontal distance from a hip beyond which no stretched leg puts a wheel [m]."""
+    spec = scene.kinematics.spec
+    return sum(float(np.linalg.norm(joint.offset)) for joint in spec.joints)
+
+
+def _share(part: np.ndarray, whole: np.ndarray) -> float:
+    return float(part.sum() / max(whole.sum(), 1))
