@@ -201,9 +201,12 @@ def _level_from_hex(feet: np.ndarray, com: np.ndarray, weight: float, gravity: n
     if not (np.isfinite(size) and size > 0.0):
         raise SagError(f"gravity is {gravity}, must be finite with a length")
     up = -np.asarray(gravity, dtype=float) / size
-    side = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
+    # Cross products written out: numpy's cost as much as the whole iteration.
+    x, y, z = up
+    side = np.array([0.0, z, -y] if abs(x) < 0.9 else [-z, 0.0, x])
     side /= np.linalg.norm(side)
-    return np.array([np.cross(side, up), side, up])
+    a, b, c = side
+    return np.array([[b * z - c * y, c * x - a * z, a * y - b * x], side, up])
 
 
 def _even_sink(stiffness: np.ndarray, lifts: np.ndarray, weight: float) -> float:
@@ -228,7 +231,10 @@ def _rigid_fit(before: np.ndarray, after: np.ndarray) -> SE3:
     """The rigid motion that takes one set of points to the other, in the least-squares sense (Kabsch)."""
     centre, moved = before.mean(axis=0), after.mean(axis=0)
     u, _, vt = np.linalg.svd((after - moved).T @ (before - centre))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    (a, b, c), (d, e, f), (g, h, i) = (u @ vt).tolist()
+    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # numpy's determinant takes longer than its SVD
+        u[:, 2] = -u[:, 2]
+    rotation = u @ vt
     return SE3(rotation, moved - rotation @ centre)
 
 
