@@ -306,8 +306,13 @@ def _spring_forces(d, stiffness, lateral_ratio, lifts, unilateral, soft):
 
 @njit(cache=True)
 @no_type_check
-def _equations(x, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, res, jac):
-    """Scaled residuals of eqs 4-8 and their derivatives by the scaled displacements x (n + 1, 3), CoM last."""
+def spring_equations(x, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, res, jac):
+    """Writes scaled residuals of eqs 4-8 and their derivatives by the scaled displacements, of n feet and then the CoM.
+
+    Public for checks and peers. x times `scale` are displacements (n + 1, 3) from r0 (n + 1, 3) [m], z upward, forces by
+    eqs 10-12 (`unilateral`) or eq. 3; res is (6 + 3 n,): forces over weight, moments over weight and `size`, distances
+    over `scale`; jac is (6 + 3 n, 3 n + 3).
+    """
     n = stiffness.shape[0]
     d = x * scale
     p = r0 + d
@@ -418,7 +423,7 @@ def _levenberg_marquardt(feet, com, weight, stiffness, lateral_ratio, lifts, uni
     x = begin / scale
     res, jac = np.empty(rows), np.empty((rows, unknowns))
     trial_res, trial_jac = np.empty(rows), np.empty((rows, unknowns))
-    _equations(x, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, res, jac)
+    spring_equations(x, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, res, jac)
     cost, damping, iteration = np.sum(res**2), 1e-3, 0
     while iteration < MAX_ITERATIONS and np.max(np.abs(res)) > 0.01 * TOLERANCE and damping < 1e12:
         iteration += 1
@@ -430,7 +435,7 @@ def _levenberg_marquardt(feet, com, weight, stiffness, lateral_ratio, lifts, uni
             damping = max(8.0 * damping, 1e-9)
             continue
         trial = x + step.reshape(n + 1, 3)
-        _equations(
+        spring_equations(
             trial, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, trial_res, trial_jac
         )
         trial_cost = np.sum(trial_res**2)

@@ -1,0 +1,182 @@
+"""How long a solve of the contact springs takes with six feet, beside SciPy's Levenberg-Marquardt on the same equations.
+
+Stances are random: feet about their regular places, uneven springs, heights about their contact points, in half of them
+one leg in the air. The peer is `scipy.optimize.least_squares(method="lm")` with finite differences, as one would
+write eqs 4-12 of [SunSpiral2012] in numpy, from the same start; it runs in turn with ours. A second row gives SciPy our
+compiled equations, so that only the derivatives and the iteration differ. `bench_sag.py` prints the rows.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from bench_table import Row, row, show
+from scipy.optimize import least_squares
+
+from athlete_twin.model.kinematics import GRAVITY, kinematics
+from athlete_twin.model.stance import regular_stance
+from planner.sag.sag_model import AIRBORNE, SOFT_CONTACT, FootSprings, SagSolution, solve_sag, spring_equations
+
+ROBOTS = ("sdm_b", "t12")
+STANCES = 300
+"""of each robot"""
+TARGET_MS, TARGET_FASTER, TARGET_MM = "<= 1.0", ">= 30", "<= 0.1"
+SPREAD = 0.12
+"""of the feet about their regular places, one sigma [m]"""
+SPREAD_LIFT = 0.01
+"""of the feet's heights about their contact points, one sigma [m]"""
+UNEVEN = 0.125
+"""of the spring constants, one sigma: what +- 1 psi of 8 psi does, [SunSpiral2012] s5.1.4"""
+SOLVED = 1e-7
+"""largest scaled residual at which SciPy's answer counts as one"""
+PAIRS = np.array([(i, j) for i in range(6) for j in ((i + 1) % 6, (i + 2) % 6, 6)])
+"""whose distances stay, eqs 6-8; 6 is the CoM"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Stance:
+    """One problem, as `solve_sag` takes it."""
+
+    feet: np.ndarray
+    com: np.ndarray
+    weight: float
+    springs: FootSprings
+    lifts: np.ndarray
+
+    def ours(self) -> SagSolution:
+        """By the planner's solver."""
+        return solve_sag(
+            self.feet, self.com, self.weight, stiffness_z=self.springs.stiffness_z,
+            lateral_ratio=self.springs.lateral_ratio, lifts=self.lifts,
+        )  # fmt: skip
+
+
+def rows(*, robots: tuple[str, ...] = ROBOTS, stances: int = STANCES) -> list[Row]:
+    """Median milliseconds, how many times faster than SciPy, and the largest difference of the answers."""
+    return [one for robot in robots for one in _rows(robot, stances)]
+
+
+def _rows(robot: str, count: int) -> list[Row]:
+    rng = np.random.default_rng(ROBOTS.index(robot))
+    spent: list[tuple[float, float, float]] = []
+    off, drawn = [], 0
+    _one(_stance(robot, rng))  # compiles
+    while len(spent) < count:
+        drawn += 1
+        times, apart = _one(_stance(robot, rng))
+        if apart is not None:
+            spent.append(times)
+            off.append(apart)
+    ours, in_numpy, compiled = (1e3 * float(t) for t in np.median(spent, axis=0))
+    name = f"{robot} sag of {count} stances"
+    faster, scipy = "how many times faster", "scipy least_squares lm"
+    return [
+        row(f"{name}, median", ours, "ms", target=TARGET_MS, peer_name=scipy, peer=in_numpy),
+        row(f"{name}, {faster} than {scipy}", in_numpy / ours, "x", target=TARGET_FASTER),
+        row(f"{name}, {faster} than {scipy} on our compiled equations", compiled / ours, "x"),
+        row(f"{name}, largest difference of a foot", 1e3 * max(off), "mm", target=TARGET_MM),
+        row(f"{name}, of those drawn that both solve", 100.0 * count / drawn, "%"),
+    ]
+
+
+def _stance(robot: str, rng: np.random.Generator) -> Stance:
+    kin = kinematics(robot)
+    spec = kin.spec
+    joints, drawn = regular_stance(spec), FootSprings.from_spec(spec)
+    lifts = rng.normal(0.0, SPREAD_LIFT, 6)
+    if rng.random() < 0.5:
+        lifts[rng.integers(6)] = AIRBORNE
+    return Stance(
+        feet=kin.wheels_in_hex(joints) + rng.normal(0.0, SPREAD, (6, 3)) * [1.0, 1.0, 0.5],
+        com=kin.com_in_hex(joints) + rng.normal(0.0, 0.05, 3),
+        weight=spec.mass * GRAVITY,
+        springs=FootSprings(
+            stiffness_z=drawn.stiffness_z * np.maximum(0.5, 1.0 + rng.normal(0.0, UNEVEN, 6)),
+            lateral_ratio=drawn.lateral_ratio,
+        ),
+        lifts=lifts,
+    )
+
+
+def _one(stance: Stance) -> tuple[tuple[float, float, float], float | None]:
+    """Seconds of ours, of SciPy, of SciPy on compiled equations; largest distance of our feet from SciPy's [m].
+
+    The distance is None where ours says that there is no solution, or SciPy ended elsewhere.
+    """
+    in_numpy, compiled, scale = _numpy_equations(stance), _compiled_equations(stance), _scale(stance)
+    begin = np.tile([0.0, 0.0, -1.0], 7)
+    ours, ours_s = _timed(stance.ours)
+    found, numpy_s = _timed(lambda: least_squares(in_numpy, begin, method="lm"))
+    _, compiled_s = _timed(lambda: least_squares(compiled, begin, method="lm"))
+    spent = (ours_s, numpy_s, compiled_s)
+    if not ours.converged or np.abs(found.fun).max() > SOLVED:
+        return spent, None
+    return spent, float(np.abs(scale * found.x.reshape(7, 3)[:6] - ours.displacements).max())
+
+
+def _timed(call: Callable[[], Any]) -> tuple[Any, float]:
+    start = time.perf_counter()
+    result = call()
+    return result, time.perf_counter() - start
+
+
+def _scale(stance: Stance) -> float:
+    return stance.weight / float(stance.springs.stiffness_z.sum())
+
+
+def _middle_and_size(stance: Stance) -> tuple[np.ndarray, float]:
+    """Unsagged feet and CoM about the middle of the feet, shape (7, 3), and the feet's mean distance from there [m]."""
+    middle = np.vstack([stance.feet, stance.com]) - stance.feet.mean(axis=0)
+    return middle, float(np.linalg.norm(middle[:6], axis=1).mean())
+
+
+def _numpy_equations(stance: Stance) -> Callable[[np.ndarray], np.ndarray]:
+    """Eqs 4-12 as a function of 21 scaled displacements, gravity along -z, contact coming in as the planner's does."""
+    r0, size = _middle_and_size(stance)
+    scale, weight, k = _scale(stance), stance.weight, stance.springs.stiffness_z
+    a, b = PAIRS.T
+    before = np.linalg.norm(r0[a] - r0[b], axis=1)
+
+    def left(x: np.ndarray) -> np.ndarray:
+        d = scale * x.reshape(7, 3)
+        p = r0 + d
+        compression = -d[:6, 2] - stance.lifts
+        s = np.clip(compression / SOFT_CONTACT, 0.0, 1.0)
+        forces = np.empty((6, 3))
+        forces[:, :2] = -(stance.springs.lateral_ratio * k * s * s * (3.0 - 2.0 * s))[:, None] * d[:6, :2]
+        forces[:, 2] = k * np.maximum(compression, 0.0)
+        force = forces.sum(axis=0) / weight - [0.0, 0.0, 1.0]
+        moment = np.cross(p[:6], forces).sum(axis=0) / weight + np.cross(p[6], [0.0, 0.0, -1.0])
+        return np.concatenate([force, moment / size, (np.linalg.norm(p[a] - p[b], axis=1) - before) / scale])
+
+    return left
+
+
+def _compiled_equations(stance: Stance) -> Callable[[np.ndarray], np.ndarray]:
+    """The planner's own residuals as a function of 21 scaled displacements."""
+    r0, size = _middle_and_size(stance)
+    scale, weight, k = _scale(stance), stance.weight, stance.springs.stiffness_z.copy()
+    ratio, lifts, derivatives = stance.springs.lateral_ratio, stance.lifts.copy(), np.empty((24, 21))
+
+    def left(x: np.ndarray) -> np.ndarray:
+        out = np.empty(24)
+        spring_equations(
+            x.reshape(7, 3), r0, weight, k, ratio, lifts, True, SOFT_CONTACT, size, scale, out, derivatives
+        )
+        return out
+
+    return left
+
+
+def main() -> None:
+    """Prints the rows."""
+    show(rows(), as_json="--json" in sys.argv[1:])
+
+
+if __name__ == "__main__":
+    main()
