@@ -18,6 +18,7 @@ feet's heights together only through a CoM above them, as every walking robot's 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import no_type_check
 
@@ -130,13 +131,13 @@ def solve_sag(
         raise SagError(f"lifts are {lifts}, need six heights [m], or AIRBORNE")
     level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
     feet, com = feet_in_hex @ level_from_hex.T, level_from_hex @ com_in_hex
-    if start is None:
-        begin = np.zeros((7, 3))
-        begin[:, 2] = -_even_sink(springs.stiffness_z, lifts, weight)
-    else:
-        begin = np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T
     # Copies: numba compiles once more for arrays that are read-only or not contiguous.
     feet, stiffness, lifts, spent = np.ascontiguousarray(feet), springs.stiffness_z.copy(), lifts.copy(), 0
+    if start is None:
+        begin = np.zeros((7, 3))
+        begin[:, 2] = -_even_sink(stiffness, lifts, float(weight))
+    else:
+        begin = np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T
     for softness in ((SOFT_CONTACT,), SOFTENED):
         moved = begin
         for soft in softness:
@@ -197,39 +198,39 @@ def _level_from_hex(feet: np.ndarray, com: np.ndarray, weight: float, gravity: n
         raise SagError(f"feet and CoM have shapes {feet.shape} and {com.shape}, need finite (6, 3) and (3,)")
     if not (np.isfinite(weight) and weight > 0.0):
         raise SagError(f"weight is {weight} N, must be positive")
-    size = float(np.linalg.norm(gravity))
+    size = math.sqrt(gravity @ gravity)
     if not (np.isfinite(size) and size > 0.0):
         raise SagError(f"gravity is {gravity}, must be finite with a length")
     up = -np.asarray(gravity, dtype=float) / size
     # Cross products written out: numpy's cost as much as the whole iteration.
     x, y, z = up
     side = np.array([0.0, z, -y] if abs(x) < 0.9 else [-z, 0.0, x])
-    side /= np.linalg.norm(side)
+    side /= math.sqrt(side @ side)
     a, b, c = side
     return np.array([[b * z - c * y, c * x - a * z, a * y - b * x], side, up])
 
 
-def _even_sink(stiffness: np.ndarray, lifts: np.ndarray, weight: float) -> float:
+@njit(cache=True)
+@no_type_check
+def _even_sink(stiffness, lifts, weight):
     """How far all feet must sink together until their springs carry the weight [m]: where the iteration begins."""
-    if not np.isfinite(lifts).any():
-        return 0.0
-    order = np.argsort(lifts)
+    order = np.argsort(lifts, kind="mergesort")
     carrying, pressed, sink = 0.0, 0.0, 0.0
-    for place, foot in enumerate(order):
+    for place in range(len(order)):
+        foot = order[place]
         if not np.isfinite(lifts[foot]):
             break
         carrying += stiffness[foot]
         pressed += stiffness[foot] * lifts[foot]
-        sink = float((weight + pressed) / carrying)
-        following = lifts[order[place + 1]] if place < 5 else AIRBORNE
-        if sink <= following:
+        sink = (weight + pressed) / carrying
+        if place + 1 < len(order) and sink <= lifts[order[place + 1]]:
             break
     return sink
 
 
 def _rigid_fit(before: np.ndarray, after: np.ndarray) -> SE3:
     """The rigid motion that takes one set of points to the other, in the least-squares sense (Kabsch)."""
-    centre, moved = before.mean(axis=0), after.mean(axis=0)
+    centre, moved = before.sum(axis=0) / len(before), after.sum(axis=0) / len(after)
     u, _, vt = np.linalg.svd((after - moved).T @ (before - centre))
     (a, b, c), (d, e, f), (g, h, i) = (u @ vt).tolist()
     if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # numpy's determinant takes longer than its SVD
