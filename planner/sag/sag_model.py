@@ -92,7 +92,8 @@ class SagSolution:
     """largest scaled residual; at most `TOLERANCE` when converged"""
     iterations: int
     status: str
-    """"converged"; "tips": the CoM is outside the feet that could carry, or the chassis turns by more than `MAX_TILT`;
+    """"converged"; "tips": the CoM is outside the feet that could carry, the chassis turns by more than `MAX_TILT`, or the
+    forces balance like a pencil on its tip, as over feet on one line: the least push makes it fall;
     "too_few_feet": fewer than three carry; "not_converged": the iteration ended elsewhere"""
 
     @property
@@ -141,14 +142,14 @@ def solve_sag(
     for softness in ((SOFT_CONTACT,), SOFTENED):
         moved = begin
         for soft in softness:
-            moved, forces, residual, iterations = _levenberg_marquardt(
+            moved, forces, residual, iterations, firm = _levenberg_marquardt(
                 feet, com, weight, stiffness, lateral_ratio, lifts, True, soft, moved
             )
             spent += iterations
         if residual <= TOLERANCE:
             break
     return _solution(
-        feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, level_from_hex
+        feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, firm, level_from_hex
     )
 
 
@@ -169,14 +170,16 @@ def solve_loaded(
     """
     springs = FootSprings(stiffness_z=stiffness_z, lateral_ratio=lateral_ratio)
     count = int(np.sum(loaded))
-    if loaded.shape != (6,) or count < 3:
+    if loaded.shape != (6,):
+        raise SagError(f"flags of loaded feet have shape {loaded.shape}, need (6,)")
+    if count < 3:
         raise SagError(f"{count} loaded feet carry no robot, at least 3 do")
     level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
     feet, com = feet_in_hex[loaded] @ level_from_hex.T, level_from_hex @ com_in_hex
     stiffness = springs.stiffness_z[loaded]
     begin = np.zeros((count + 1, 3))
     begin[:, 2] = -weight / stiffness.sum()
-    moved, forces, residual, iterations = _levenberg_marquardt(
+    moved, forces, residual, iterations, firm = _levenberg_marquardt(
         np.ascontiguousarray(feet), com, weight, stiffness, lateral_ratio, np.zeros(count), False, SOFT_CONTACT, begin
     )
     before = np.vstack([feet_in_hex[loaded], com_in_hex])
@@ -188,7 +191,7 @@ def solve_loaded(
     all_forces[loaded] = forces @ level_from_hex
     lifts = np.where(loaded, 0.0, AIRBORNE)
     return _solution(
-        feet_in_hex, com_in_hex, displacements, all_forces, lifts, residual, iterations, level_from_hex, pose
+        feet_in_hex, com_in_hex, displacements, all_forces, lifts, residual, iterations, firm, level_from_hex, pose
     )
 
 
@@ -247,6 +250,7 @@ def _solution(
     lifts: np.ndarray,
     residual: float,
     iterations: int,
+    firm: bool,
     level_from_hex: np.ndarray,
     pose: SE3 | None = None,
 ) -> SagSolution:
@@ -263,7 +267,7 @@ def _solution(
             status = "too_few_feet"
     elif loaded.sum() < 3:
         status = "too_few_feet"
-    elif float(up @ pose.rotation @ up) < np.cos(MAX_TILT):
+    elif not firm or float(up @ pose.rotation @ up) < np.cos(MAX_TILT):
         status = "tips"
     return SagSolution(
         forces=forces,
@@ -407,7 +411,10 @@ def _cholesky_solve(a, b):
 @njit(cache=True)
 @no_type_check
 def _levenberg_marquardt(feet, com, weight, stiffness, lateral_ratio, lifts, unilateral, soft, begin):
-    """Displacements (n + 1, 3), forces (n, 3), largest residual, iterations. z is up; lengths in metres."""
+    """Displacements (n + 1, 3), forces (n, 3), largest residual, iterations, whether the balance is a stable one.
+
+    z is up; lengths in metres.
+    """
     n = stiffness.shape[0]
     unknowns, rows = 3 * (n + 1), 6 + 3 * n
     # Moments are taken about the middle of the feet: far from it they would drown in rounding.
@@ -420,6 +427,8 @@ def _levenberg_marquardt(feet, com, weight, stiffness, lateral_ratio, lifts, uni
         r0[i] = feet[i] - centre
         size += np.sqrt(np.sum(r0[i] ** 2)) / n
     r0[n] = com - centre
+    if size == 0.0:  # all feet in one point
+        return begin, np.zeros((n, 3)), np.inf, 0, False
     scale = weight / np.sum(stiffness)
     x = begin / scale
     res, jac = np.empty(rows), np.empty((rows, unknowns))
@@ -449,5 +458,38 @@ def _levenberg_marquardt(feet, com, weight, stiffness, lateral_ratio, lifts, uni
             if np.max(np.abs(step)) < 1e-13:
                 break
             damping = max(8.0 * damping, 1e-9)
-    forces = _spring_forces(x[:n] * scale, stiffness, lateral_ratio, lifts, unilateral, soft)[0]
-    return x * scale, forces, np.max(np.abs(res)), iteration
+    d = x * scale
+    forces, side, _, bears = _spring_forces(d[:n], stiffness, lateral_ratio, lifts, unilateral, soft)
+    return d, forces, np.max(np.abs(res)), iteration, _firm(r0 + d, forces, side, stiffness, bears, size)
+
+
+@njit(cache=True)
+@no_type_check
+def _firm(places, forces, side, stiffness, bears, size):
+    """Whether every small motion of the rigid robot costs energy: its 6 x 6 stiffness about the CoM is positive definite.
+
+    A turn by a moves a foot at r from the CoM by a x r + a x (a x r) / 2; the second term works against the foot's force,
+    and for feet below a CoM it is the weight that pulls the robot over.
+    """
+    n = stiffness.shape[0]
+    total, motion = np.zeros((6, 6)), np.zeros((3, 6))
+    for i in range(n):
+        if not bears[i]:
+            continue
+        r = (places[i] - places[n]) / size
+        f = forces[i] / size
+        for c in range(3):
+            motion[c, c] = 1.0
+        motion[0, 4], motion[0, 5] = r[2], -r[1]
+        motion[1, 3], motion[1, 5] = -r[2], r[0]
+        motion[2, 3], motion[2, 4] = r[1], -r[0]
+        along = f[0] * r[0] + f[1] * r[1] + f[2] * r[2]
+        for a in range(6):
+            for b in range(6):
+                total[a, b] += side[i] * (motion[0, a] * motion[0, b] + motion[1, a] * motion[1, b])
+                total[a, b] += stiffness[i] * motion[2, a] * motion[2, b]
+        for a in range(3):
+            total[3 + a, 3 + a] += along
+            for b in range(3):
+                total[3 + a, 3 + b] -= 0.5 * (f[a] * r[b] + f[b] * r[a])
+    return _cholesky_solve(total, np.zeros(6))
