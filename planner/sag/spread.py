@@ -78,7 +78,8 @@ def spread_loads(
     x = bounded_least_squares(matrix, wanted, bounds, least)
     if x is None:
         return None
-    return Spread(loads=even + free @ (z_at_zero - pull @ (x * unit)), offsets=x * unit)
+    wheel_offsets = np.clip(x * unit, -max_offset, max_offset)
+    return Spread(loads=even + free @ (z_at_zero - pull @ wheel_offsets), offsets=wheel_offsets)
 
 
 def bounded_least_squares(
