@@ -3,7 +3,8 @@
 Stances are random: feet about their regular places, uneven springs, heights about their contact points, in half of them
 one leg in the air. The peer is `scipy.optimize.least_squares(method="lm")` with finite differences, as one would
 write eqs 4-12 of [SunSpiral2012] in numpy, from the same start; it runs in turn with ours, ten stances each. A second row gives SciPy our
-compiled equations, so that only the derivatives and the iteration differ. `bench_sag.py` prints the rows.
+compiled equations, so that only the derivatives and the iteration differ. Last comes the chassis pose before a lift,
+each leg of stances with uneven springs. `bench_sag.py` prints the rows.
 """
 
 from __future__ import annotations
@@ -21,7 +22,10 @@ from scipy.optimize import least_squares
 
 from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.stance import regular_stance
-from planner.sag.sag_model import AIRBORNE, SOFT_CONTACT, FootSprings, SagSolution, solve_sag, spring_equations
+from planner.sag.lift_pose import LiftPose, PoseConfig
+from planner.sag.pose import optimise_pose
+from planner.sag.sag_model import AIRBORNE, SOFT_CONTACT, FootSprings, SagSolution, solve_sag
+from planner.sag.spring_equations import spring_equations
 
 ROBOTS = ("sdm_b", "t12")
 STANCES = 300
@@ -36,6 +40,9 @@ SPREAD_LIFT = 0.01
 """of the feet's heights about their contact points, one sigma [m]"""
 UNEVEN = 0.125
 """of the spring constants, one sigma: what +- 1 psi of 8 psi does, [SunSpiral2012] s5.1.4"""
+POSE_ROUNDS, POSE_TARGET_MS = 10, "<= 10"
+CLEARANCE = 0.2
+"""asked for of the lifted wheel [m]"""
 SOLVED = 1e-7
 """largest scaled residual at which SciPy's answer counts as one"""
 PAIRS = np.array([(i, j) for i in range(6) for j in ((i + 1) % 6, (i + 2) % 6, 6)])
@@ -85,13 +92,29 @@ def _rows(robot: str, count: int) -> list[Row]:
         row(f"{name}, {faster} than {scipy} on our compiled equations", compiled / ours, "x"),
         row(f"{name}, largest difference of a foot", 1e3 * max(off), "mm", target=TARGET_MM),
         row(f"{name}, of those drawn that both solve", 100.0 * len(off) / drawn, "%"),
+        _pose_row(robot, rng),
     ]
+
+
+def _pose_row(robot: str, rng: np.random.Generator) -> Row:
+    kin = kinematics(robot)
+    motors, times, found = regular_stance(kin.spec), [], 0
+    for _ in range(POSE_ROUNDS):
+        springs = _springs(robot, rng)
+        for leg in range(6):
+            pose, seconds = _timed(
+                partial(optimise_pose, kin, motors, leg, springs=springs, clearance=CLEARANCE, config=PoseConfig())
+            )
+            found += isinstance(pose, LiftPose)
+            times.append(1e3 * seconds)
+    what = f"{robot} chassis pose before a lift, median of {len(times)} of which {found} have one"
+    return row(what, float(np.median(times)), "ms", target=POSE_TARGET_MS)
 
 
 def _stance(robot: str, rng: np.random.Generator) -> Stance:
     kin = kinematics(robot)
     spec = kin.spec
-    joints, drawn = regular_stance(spec), FootSprings.from_spec(spec)
+    joints = regular_stance(spec)
     lifts = rng.normal(0.0, SPREAD_LIFT, 6)
     if rng.random() < 0.5:
         lifts[rng.integers(6)] = AIRBORNE
@@ -99,12 +122,15 @@ def _stance(robot: str, rng: np.random.Generator) -> Stance:
         feet=kin.wheels_in_hex(joints) + rng.normal(0.0, SPREAD, (6, 3)) * [1.0, 1.0, 0.5],
         com=kin.com_in_hex(joints) + rng.normal(0.0, 0.05, 3),
         weight=spec.mass * GRAVITY,
-        springs=FootSprings(
-            stiffness_z=drawn.stiffness_z * np.maximum(0.5, 1.0 + rng.normal(0.0, UNEVEN, 6)),
-            lateral_ratio=drawn.lateral_ratio,
-        ),
+        springs=_springs(robot, rng),
         lifts=lifts,
     )
+
+
+def _springs(robot: str, rng: np.random.Generator) -> FootSprings:
+    drawn = FootSprings.from_spec(kinematics(robot).spec)
+    stiffness = drawn.stiffness_z * np.maximum(0.5, 1.0 + rng.normal(0.0, UNEVEN, 6))
+    return FootSprings(stiffness_z=stiffness, lateral_ratio=drawn.lateral_ratio)
 
 
 def _block(stances: list[Stance]) -> tuple[np.ndarray, np.ndarray]:

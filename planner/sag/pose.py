@@ -21,7 +21,7 @@ from functools import cached_property
 import numpy as np
 
 from athlete_twin.errors import SagError
-from athlete_twin.geometry.arrays import Joints, Mat3, PerLeg, Vec2, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, Mat3, PerLeg, PerLegFlag, Points3, Vec2, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -29,7 +29,7 @@ from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import LEGS
 from planner.sag.lift_pose import LiftPose, NoPose, PoseConfig
 from planner.sag.sag_model import AIRBORNE, DOWN, FootSprings, SagSolution, solve_sag
-from planner.sag.spread import shift_towards_even, spread_loads
+from planner.sag.spread import Spread, shift_towards_even, spread_loads
 from planner.stability.margin import cps_margin, support_margin
 
 FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
@@ -77,28 +77,34 @@ def optimise_pose(
     if not (np.isfinite(clearance) and clearance >= 0.0):
         raise SagError(f"clearance is {clearance} m, must not be negative")
     planted = np.zeros(LEGS) if lifts is None else np.array(lifts, dtype=float)
-    if planted.shape != (LEGS,) or np.isnan(planted).any():
+    if planted.shape != (LEGS,) or np.isnan(planted).any() or np.isneginf(planted).any():
         raise SagError(f"lifts are {planted}, need six heights [m], or AIRBORNE")
-    up = -np.asarray(gravity_in_hex, dtype=float) / np.linalg.norm(gravity_in_hex)
-    search = _Search(kin, motors, leg, springs, clearance, planted, up, wanted_in_hex or _level(up), payload_kg, config)
+    size = float(np.linalg.norm(gravity_in_hex))
+    if not (np.isfinite(size) and size > 0.0):
+        raise SagError(f"gravity is {gravity_in_hex}, must be finite with a length")
+    up = -np.asarray(gravity_in_hex, dtype=float) / size
+    search = _Search(kin, motors, leg, springs, clearance, planted, up, wanted_in_hex or level_pose(gravity_in_hex), payload_kg, config)
     if search.stands.sum() < 3:
-        return NoPose(reason=f"{search.stands.sum()} wheels stand once leg {leg + 1} is lifted, at least 3 carry a robot")
+        return NoPose(reason=f"{search.stands.sum()} of 6 wheels stand once leg {leg + 1} is up, at least 3 carry a robot")
     if search.width < NARROWEST:
         return NoPose(reason=f"the standing wheels span {search.width:.3f} m across, a line, at least {NARROWEST} m carry a robot")
-    wanted_shift = search.even_shift()
-    cut, found = "", search.at(wanted_shift)
-    for fraction in FRACTIONS[1:] if wanted_shift.any() else ():
+    shift = search.even_shift()
+    cut = "" if shift is not None else f"no shift: reach within {PROBE} m of the stance"
+    shift = np.zeros(2) if shift is None else shift
+    found = search.at(shift)
+    for fraction in FRACTIONS[1:] if shift.any() else ():
         if isinstance(found, LiftPose):
             break
         cut = cut or found.reason
-        found = search.at(fraction * wanted_shift)
+        found = search.at(fraction * shift)
     if isinstance(found, LiftPose) and cut:
         return replace(found, limited_by=(cut, *found.limited_by))
     return found
 
 
-def _level(up: Vec3) -> SE3:
-    """The least rotation of a chassis that sets its z axis upright."""
+def level_pose(gravity_in_hex: Vec3) -> SE3:
+    """The chassis turned as little as sets its z axis against gravity, its origin where it was, in the hex frame before."""
+    up = -np.asarray(gravity_in_hex, dtype=float) / np.linalg.norm(gravity_in_hex)
     axis = np.cross([0.0, 0.0, 1.0], up)
     sine = float(np.linalg.norm(axis))
     return SE3.from_rotvec(axis / max(sine, 1e-300) * np.arctan2(sine, up[2]))
@@ -168,8 +174,13 @@ class _Search:
             return None
         return np.asarray(wanted.inverse().apply(self.stood[0][self.leg] + (self.clearance - self.lifts[self.leg]) * self.up))
 
-    def even_shift(self) -> Vec2:
-        """The shift within its bound that brings the CoM where balance asks for the most even loads [m]."""
+    def even_shift(self) -> Vec2 | None:
+        """The shift within its bound that brings the CoM where balance asks for the most even loads [m].
+
+        None where a leg does not reach what the movement of the CoM is measured with.
+        """
+        if self.config.max_shift == 0.0:
+            return np.zeros(2)
         level, stands = self.level_from_hex[:2], self.stands
         places = self.stood[0][stands] @ level.T
 
@@ -182,15 +193,15 @@ class _Search:
         here, ahead, aside = com(np.zeros(2)), com(np.array([PROBE, 0.0])), com(np.array([0.0, PROBE]))
         by_shift = np.column_stack([ahead - here, aside - here]) / PROBE
         if not np.isfinite(by_shift).all():
-            return np.zeros(2)
+            return None
         return shift_towards_even(here, places, by_shift, self.config.max_shift)
 
     def at(self, shift: Vec2) -> LiftPose | NoPose:
         """The pose with a given shift."""
-        wanted, lifts, stands, config = self.shifted(shift), self.lifts.copy(), self.stands, self.config
+        wanted, lifts, stands = self.shifted(shift), self.lifts.copy(), self.stands
         lifts[self.leg] = AIRBORNE
-        level, lifted = self.level_from_hex, self.lifted_in(wanted)
-        start_from_hex, offsets, spread_found = wanted, np.zeros(LEGS), True
+        lifted = self.lifted_in(wanted)
+        start_from_hex, offsets = wanted, np.zeros(LEGS)
         sag: SagSolution | None = None
         rounds = 0
         while True:
@@ -201,37 +212,37 @@ class _Search:
             sag = self._solve(start_from_hex, axles, joints, lifts + offsets, sag)
             if not sag.converged:
                 return NoPose(reason=f"the springs say {sag.status} with leg {self.leg + 1} lifted")
-            start_from_sagged = start_from_hex.compose(sag.unsagged_from_sagged)
-            left = start_from_sagged.inverse().compose(wanted)
-            turn = left.rotvec()
-            up = start_from_hex.rotation.T @ self.up
-            compressions = (-(sag.displacements @ up) - lifts - offsets)[stands]
-            spread = spread_loads(
-                start_from_hex.apply(axles + sag.displacements)[stands] @ level[:2].T,
-                (sag.forces @ up)[stands],
-                compressions=compressions,
-                stiffness=self.springs.stiffness_z[stands],
-                offsets=offsets[stands],
-                max_offset=config.max_offset,
-                min_load=config.min_load_fraction * self.weight,
-            )
+            sagged_from_wanted = start_from_hex.compose(sag.unsagged_from_sagged).inverse().compose(wanted)
+            off, turn = float(np.linalg.norm(sagged_from_wanted.translation)), float(np.linalg.norm(sagged_from_wanted.rotvec()))
+            spread = self._spread(start_from_hex, axles, sag, lifts, offsets)
             change = np.zeros(LEGS)
             if spread is not None:
                 change[stands] = spread.offsets - offsets[stands]
-            spread_found = spread is not None
-            near = max(float(np.linalg.norm(left.translation)), float(np.abs(change).max())) <= HEIGHT_TOLERANCE
-            if near and float(np.linalg.norm(turn)) <= TURN_TOLERANCE:
+            if max(off, float(np.abs(change).max())) <= HEIGHT_TOLERANCE and turn <= TURN_TOLERANCE:
                 break
             if rounds == MAX_ROUNDS:
-                return NoPose(reason=f"after {rounds} rounds {1e3 * np.linalg.norm(left.translation):.2f} mm are left")
+                return NoPose(reason=f"after {rounds} rounds {1e3 * off:.2f} mm are left")
             start_from_hex = wanted.compose(sag.unsagged_from_sagged.inverse())
             offsets = offsets + change
-        if not spread_found:
-            return NoPose(
-                reason=f"no loads of at least {config.min_load_fraction * self.weight:.0f} N on each wheel "
-                f"within offsets of {config.max_offset} m"
-            )
-        return self._judged(shift, start_from_hex, offsets, joints, axles, sag, left.inverse(), rounds)
+        if spread is None:
+            least = self.config.min_load_fraction * self.weight
+            return NoPose(reason=f"no loads of at least {least:.0f} N a wheel within offsets of {self.config.max_offset} m")
+        return self._judged(shift, start_from_hex, offsets, joints, axles, sag, sagged_from_wanted, rounds)
+
+    def _spread(
+        self, start_from_hex: SE3, axles: Wheels, sag: SagSolution, lifts: PerLeg, offsets: PerLeg
+    ) -> Spread | None:
+        """The most even loads that balance as those of a solution do, and their offsets."""
+        stands, up = self.stands, start_from_hex.rotation.T @ self.up
+        return spread_loads(
+            start_from_hex.apply(axles + sag.displacements)[stands] @ self.level_from_hex[:2].T,
+            (sag.forces @ up)[stands],
+            compressions=(-(sag.displacements @ up) - lifts - offsets)[stands],
+            stiffness=self.springs.stiffness_z[stands],
+            offsets=offsets[stands],
+            max_offset=self.config.max_offset,
+            min_load=self.config.min_load_fraction * self.weight,
+        )
 
     def _solve(
         self, start_from_hex: SE3, axles: Wheels, joints: Joints, lifts: PerLeg, start: SagSolution | None
@@ -255,11 +266,11 @@ class _Search:
         joints: Joints,
         axles: Wheels,
         airborne: SagSolution,
-        left: SE3,
+        sagged_from_wanted: SE3,
         rounds: int,
     ) -> LiftPose | NoPose:
         """The pose, unless a bound, the reach or a margin forbids it."""
-        config, stands, level, leg = self.config, self.stands, self.level_from_hex, self.leg
+        config, leg = self.config, self.leg
         against = self.shifted(shift).inverse().compose(start_from_hex)
         rise = float(self.up @ (start_from_hex.translation - self.shifted(shift).translation))
         tilt = float(np.linalg.norm(against.rotvec()))
@@ -274,15 +285,11 @@ class _Search:
         if not standing.converged:
             return NoPose(reason=f"the springs say {standing.status} before the lift")
         least = self.kin.spec.min_support_margin if config.min_margin is None else config.min_margin
-        for name, sag, at, on, measure in (
-            (f"margin with leg {leg + 1} lifted", airborne, axles, stands, support_margin),
-            ("CPS margin", standing, planted_axles, np.isfinite(self.lifts), cps_margin),
-        ):
-            if name == "CPS margin" and not on.all():
-                continue
-            frame = level @ start_from_hex.rotation
-            com = self.kin.com_in_hex(joints if sag is airborne else planted, self.payload_kg) + sag.com_displacement
-            margin = measure(frame @ com, ((at + sag.displacements) @ frame.T)[on])
+        stands, ground = self.stands, np.isfinite(self.lifts)
+        margins = {f"margin with leg {leg + 1} lifted": support_margin(*self._level(start_from_hex, axles, joints, airborne, stands))}
+        if ground.all():
+            margins["CPS margin"] = cps_margin(*self._level(start_from_hex, planted_axles, planted, standing, ground))
+        for name, margin in margins.items():
             if margin < least:
                 return NoPose(reason=f"{name} is {margin:.3f} m, the least is {least} m")
         loads = airborne.forces @ (start_from_hex.rotation.T @ self.up)
@@ -297,11 +304,19 @@ class _Search:
             motors=joints,
             standing=standing,
             airborne=airborne,
-            sagged_from_wanted=left,
+            sagged_from_wanted=sagged_from_wanted,
             peak_load=float(loads[stands].max()),
             limited_by=self._bounds_hit(shift, offsets, loads),
             rounds=rounds,
         )
+
+    def _level(
+        self, start_from_hex: SE3, axles: Wheels, joints: Joints, sag: SagSolution, on: PerLegFlag
+    ) -> tuple[Vec3, Points3]:
+        """Sagged CoM and wheels on the ground in a level frame."""
+        level_from_hex = self.level_from_hex @ start_from_hex.rotation
+        com = self.kin.com_in_hex(joints, self.payload_kg) + sag.com_displacement
+        return level_from_hex @ com, (axles + sag.displacements)[on] @ level_from_hex.T
 
     def _bounds_hit(self, shift: Vec2, offsets: PerLeg, loads: PerLeg) -> tuple[str, ...]:
         config, hit = self.config, []

@@ -37,8 +37,7 @@ def _carried_out(robot, motors, pose, *, springs, lifts=None, down=None):
     """Move and lift as the executive does them, then the springs: pose of the sagged chassis before the move, and loads."""
     kin = kinematics(robot)
     down = np.array([0.0, 0.0, -1.0]) if down is None else down / np.linalg.norm(down)
-    for moved in body_move(kin, pose.move, motors, 0.1):
-        pass
+    *_, moved = body_move(kin, pose.move, motors, 0.1)
     start_from_hex = SE3.from_rotvec(pose.move.rotvec_in_hex, pose.move.translation_in_hex)
     down_in_hex = start_from_hex.rotation.T @ down
     axles = kin.wheels_in_hex(moved)
@@ -166,6 +165,32 @@ def test_a_shift_goes_away_from_the_leg_and_lowers_the_peak(robot):
         assert "shift of 0.1 m" in shifted.limited_by and not still.limited_by
 
 
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_no_other_shift_within_the_bound_spreads_better(robot):
+    bound, springs = 0.1, _uneven(robot)
+    chosen = _optimise(robot, 1, springs=springs, config=PoseConfig(max_shift=bound))
+    best = np.sum(chosen.airborne.forces**2)
+    for angle in np.linspace(0.0, 2.0 * np.pi, 36, endpoint=False):
+        for radius in (0.5 * bound, bound):
+            place = SE3.from_translation(radius * np.array([np.cos(angle), np.sin(angle), 0.0]))
+            other = _optimise(robot, 1, springs=springs, wanted_in_hex=place)
+            assert np.sum(other.airborne.forces**2) >= best * (1.0 - 1e-5)
+
+
+def test_three_wheels_on_a_line_are_refused():
+    lifts = np.full(6, AIRBORNE)
+    lifts[[0, 1, 2, 4]] = 0.0
+    kin = kinematics("sdm_b")
+    motors = regular_stance(kin.spec)
+    axles = kin.wheels_in_hex(motors)
+    axles[[0, 1, 2], :2] = np.array([[1.826, 0.562], [0.7, 1.212], [-0.426, 1.862]])
+    joints, reached = all_legs_ik(kin.spec, axles)
+    assert reached.all()
+    answer = _optimise("sdm_b", 4, motors=joints, lifts=lifts)
+    assert isinstance(answer, NoPose)
+    assert re.search(r"span 0.000 m across, a line", answer.reason), answer.reason
+
+
 def test_wheels_that_stand_unevenly_are_evened_out():
     lifts = np.array([0.0, 0.012, -0.008, 0.004, -0.015, 0.009])
     kin, springs = kinematics("sdm_b"), FootSprings.from_spec(kinematics("sdm_b").spec)
@@ -243,7 +268,7 @@ def test_what_cannot_stand_is_refused_with_a_reason():
     lifts[[1, 5]] = AIRBORNE
     assert "the springs say" in _optimise("sdm_b", 0, lifts=lifts).reason
     lifts[[2, 4]] = AIRBORNE
-    assert _optimise("sdm_b", 0, lifts=lifts).reason == "1 wheels stand once leg 1 is lifted, at least 3 carry a robot"
+    assert _optimise("sdm_b", 0, lifts=lifts).reason == "1 of 6 wheels stand once leg 1 is up, at least 3 carry a robot"
     floating = np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0])
     answer = _optimise("sdm_b", 0, lifts=floating)
     assert isinstance(answer, NoPose) and "within offsets of 0.05 m" in answer.reason
@@ -260,13 +285,15 @@ def test_two_opposite_legs_in_the_air_leave_a_pose():
 def test_wrong_use_is_refused():
     with pytest.raises(SagError, match="leg index 6"):
         _optimise("sdm_b", 6)
-    with pytest.raises(SagError, match="clearance is -0.1"):
+    with pytest.raises(SagError, match=r"clearance is -0\.1"):
         _optimise("sdm_b", 0, clearance=-0.1)
     with pytest.raises(SagError, match="six heights"):
         _optimise("sdm_b", 0, lifts=np.full(6, np.nan))
+    with pytest.raises(SagError, match="gravity is"):
+        _optimise("sdm_b", 0, gravity_in_hex=np.zeros(3))
     with pytest.raises(SagError, match="max_shift is -1"):
         PoseConfig(max_shift=-1.0)
-    with pytest.raises(SagError, match="min_load_fraction is 0.5"):
+    with pytest.raises(SagError, match=r"min_load_fraction is 0\.5"):
         PoseConfig(min_load_fraction=0.5)
     with pytest.raises(SagError, match="six positive"):
         _optimise("sdm_b", 0, springs=FootSprings(stiffness_z=-np.ones(6), lateral_ratio=0.5))

@@ -11,7 +11,8 @@ from athlete_twin.errors import SagError
 from athlete_twin.geometry.polygon import signed_distance
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import load_spec
-from planner.sag.sag_model import AIRBORNE, SOFT_CONTACT, FootSprings, solve_loaded, solve_sag, spring_equations
+from planner.sag.sag_model import AIRBORNE, SOFT_CONTACT, FootSprings, solve_loaded, solve_sag
+from planner.sag.spring_equations import spring_equations
 
 R, K, W = 1.95, 25e3, 850.0 * 9.81
 ANGLES = np.deg2rad(60.0 * np.arange(6))
