@@ -201,7 +201,10 @@ class _Search:
         wanted, lifts, stands = self.shifted(shift), self.lifts.copy(), self.stands
         lifts[self.leg] = AIRBORNE
         lifted = self.lifted_in(wanted)
-        start_from_hex, offsets = wanted, np.zeros(LEGS)
+        begin, offsets = self._raised(wanted, lifted), np.zeros(LEGS)
+        if isinstance(begin, NoPose):
+            return begin
+        start_from_hex = begin
         sag: SagSolution | None = None
         rounds = 0
         while True:
@@ -211,7 +214,8 @@ class _Search:
                 return NoPose(reason=f"reach of leg {int(np.argmin(reached)) + 1}")
             sag = self._solve(start_from_hex, axles, joints, lifts + offsets, sag)
             if not sag.converged:
-                return NoPose(reason=f"the springs say {sag.status} with leg {self.leg + 1} lifted")
+                margin = support_margin(*self._level(start_from_hex, axles, joints, sag, stands))
+                return NoPose(reason=f"the springs say {sag.status} with leg {self.leg + 1} lifted, margin {margin:.3f} m")
             sagged_from_wanted = start_from_hex.compose(sag.unsagged_from_sagged).inverse().compose(wanted)
             off, turn = float(np.linalg.norm(sagged_from_wanted.translation)), float(np.linalg.norm(sagged_from_wanted.rotvec()))
             spread = self._spread(start_from_hex, axles, sag, lifts, offsets)
@@ -228,6 +232,29 @@ class _Search:
             least = self.config.min_load_fraction * self.weight
             return NoPose(reason=f"no loads of at least {least:.0f} N a wheel within offsets of {self.config.max_offset} m")
         return self._judged(shift, start_from_hex, offsets, joints, axles, sag, sagged_from_wanted, rounds)
+
+    def _raised(self, wanted: SE3, lifted: Vec3 | None) -> SE3 | NoPose:
+        """The commanded chassis to begin with: over the wanted one by a plane through what even loads press the springs.
+
+        From the wanted pose itself the sag alone might tip the robot.
+        """
+        stands, level = self.stands, self.level_from_hex
+        joints, _, reached = self.joints(wanted, np.zeros(LEGS), lifted)
+        if not reached.all():
+            return wanted
+        com = level @ wanted.apply(self.kin.com_in_hex(joints, self.payload_kg))
+        feet = self.stood[0][stands] @ level.T
+        margin = support_margin(com, feet)
+        if margin < 0.0:
+            return NoPose(reason=f"margin with leg {self.leg + 1} lifted is {margin:.3f} m on the wanted pose")
+        plane = np.column_stack([np.ones(len(feet)), feet[:, :2]])
+        loads = np.linalg.pinv(plane.T) @ np.array([1.0, com[0], com[1]]) * self.weight
+        sunk = np.maximum(loads, 0.0) / self.springs.stiffness_z[stands] + self.lifts[stands]
+        rise, ahead, aside = np.linalg.lstsq(plane, sunk, rcond=None)[0]
+        turn, depth = np.array([aside, -ahead, 0.0]), float(feet[:, 2].mean())
+        # The wheels keep their places, the chassis over them moves: turned about points at their height.
+        shift = np.array([0.0, 0.0, rise]) - np.cross(turn, [0.0, 0.0, depth])
+        return SE3.from_rotvec(level.T @ turn, level.T @ shift).compose(wanted)
 
     def _spread(
         self, start_from_hex: SE3, axles: Wheels, sag: SagSolution, lifts: PerLeg, offsets: PerLeg

@@ -2,12 +2,14 @@ import re
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from athlete_twin.errors import SagError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.reach import all_legs_ik
-from athlete_twin.model.stance import regular_stance
+from athlete_twin.model.stance import regular_stance, stance_wheels_in_hex
 from athlete_twin.moves import body_move
 from planner.sag.compensate import SagConfig, predict_sag
 from planner.sag.lift_pose import LiftPose, NoPose, PoseConfig
@@ -266,9 +268,13 @@ def test_every_bound_is_named_with_its_value():
 def test_what_cannot_stand_is_refused_with_a_reason():
     lifts = np.zeros(6)
     lifts[[1, 5]] = AIRBORNE
-    assert "the springs say" in _optimise("sdm_b", 0, lifts=lifts).reason
+    assert re.fullmatch(r"margin with leg 1 lifted is -0\.\d+ m on the wanted pose", _optimise("sdm_b", 0, lifts=lifts).reason)
+    lifts[5] = 0.0
+    near_the_edge = _optimise("t12", 0, lifts=lifts, wanted_in_hex=SE3.from_translation(np.array([0.0, 0.0, 0.1])))
+    assert isinstance(near_the_edge, NoPose), near_the_edge
+    assert re.match("margin with leg 1|the springs say (tips|not_converged) with leg 1 lifted, margin -", near_the_edge.reason)
     lifts[[2, 4]] = AIRBORNE
-    assert _optimise("sdm_b", 0, lifts=lifts).reason == "1 of 6 wheels stand once leg 1 is up, at least 3 carry a robot"
+    assert _optimise("sdm_b", 0, lifts=lifts).reason == "2 of 6 wheels stand once leg 1 is up, at least 3 carry a robot"
     floating = np.array([0.0, 0.0, 0.0, 0.4, 0.0, 0.0])
     answer = _optimise("sdm_b", 0, lifts=floating)
     assert isinstance(answer, NoPose) and "within offsets of 0.05 m" in answer.reason
@@ -297,3 +303,23 @@ def test_wrong_use_is_refused():
         PoseConfig(min_load_fraction=0.5)
     with pytest.raises(SagError, match="six positive"):
         _optimise("sdm_b", 0, springs=FootSprings(stiffness_z=-np.ones(6), lateral_ratio=0.5))
+
+
+@given(seed=st.integers(0, 10_000), robot=st.sampled_from(ROBOTS))
+def test_any_stance_has_a_pose_that_the_forward_model_confirms_or_a_reason(seed, robot):
+    rng, kin = np.random.default_rng(seed), kinematics(robot)
+    motors, reached = all_legs_ik(kin.spec, stance_wheels_in_hex(kin.spec) + rng.normal(0.0, 0.08, (6, 3)))
+    if not reached.all():
+        return
+    springs = _uneven(robot, seed)
+    lifts, down, leg = rng.normal(0.0, 0.01, 6), np.array([*rng.normal(0.0, 0.03, 2), -1.0]), int(rng.integers(6))
+    config = PoseConfig(max_shift=0.0, max_offset=float(rng.choice([0.0, 0.02])))
+    pose = _optimise(robot, leg, motors=motors, springs=springs, lifts=lifts, gravity_in_hex=down, config=config)
+    if isinstance(pose, NoPose):
+        assert re.match(r"reach of leg|(CPS )?margin|the springs say|no loads of|the chassis must be", pose.reason), pose.reason
+        return
+    chassis, loads = _carried_out(robot, motors, pose, springs=springs, lifts=lifts, down=down)
+    up = -down / np.linalg.norm(down)
+    assert chassis.rotation[:, 2] == pytest.approx(up, abs=TEN_MICRORADIANS)
+    assert np.abs(chassis.translation).max() < TENTH_OF_A_MILLIMETRE
+    assert loads[leg] == 0.0 and np.delete(loads, leg).min() > 0.019 * kin.spec.mass * GRAVITY
