@@ -123,8 +123,9 @@ def test_with_the_optimised_pose_the_true_chassis_tilts_and_sinks_less(robot, le
         yard = Yard(robot, seed=0)
         seen[name] = lift(yard, leg, yard.springs(belief))
         yard.robot.close()
-    print(robot, leg, belief, seen)
     rigid, optimised = seen["rigid"], seen["optimised"]
     assert optimised.tilt < 0.6 * rigid.tilt
     assert abs(optimised.sink) < (1.0 if belief == "drawn" else 0.5) * abs(rigid.sink)
     assert optimised.peak_load < rigid.peak_load
+    if belief == "measured":
+        assert abs(optimised.clearance - CLEARANCE[robot]) < 6 * CENTIMETRE
