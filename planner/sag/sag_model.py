@@ -18,26 +18,22 @@ feet's heights together only through a CoM above them, as every walking robot's 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import no_type_check
 
 import numpy as np
-from numba import njit
 
 from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import PerLeg, PerLegFlag, Vec3, Wheels
 from athlete_twin.geometry.polygon import signed_distance
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import RobotSpec
+from planner.sag.spring_equations import TOLERANCE, even_sink, levenberg_marquardt
 
 AIRBORNE = float(np.inf)
 """lift of a foot that cannot touch the ground [m]"""
 SOFT_CONTACT = 0.002
 """compression over which the horizontal springs come in [m]: small against centimetres of sag"""
-TOLERANCE = 1e-9
-"""largest residual of a solution: forces over weight, moments over weight and size, distances over the sag"""
-MAX_ITERATIONS = 60
-"""of one attempt; it takes 4 from a cold start when a solution is near"""
 SOFTENED = (0.05, 0.015, 0.005, SOFT_CONTACT)
 """compressions over which contact comes in on the second attempt, each starting from the one before [m]"""
 MAX_TILT = 0.5
@@ -91,7 +87,8 @@ class SagSolution:
     """largest scaled residual; at most `TOLERANCE` when converged"""
     iterations: int
     status: str
-    """"converged"; "tips": the CoM is outside the feet that could carry, or the chassis turns by more than `MAX_TILT`;
+    """"converged"; "tips": the CoM is outside the feet that could carry, the chassis turns by more than `MAX_TILT`, or the
+    forces balance like a pencil on its tip, as over feet on one line: the least push makes it fall;
     "too_few_feet": fewer than three carry; "not_converged": the iteration ended elsewhere"""
 
     @property
@@ -130,24 +127,24 @@ def solve_sag(
         raise SagError(f"lifts are {lifts}, need six heights [m], or AIRBORNE")
     level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
     feet, com = feet_in_hex @ level_from_hex.T, level_from_hex @ com_in_hex
-    if start is None:
-        begin = np.zeros((7, 3))
-        begin[:, 2] = -_even_sink(springs.stiffness_z, lifts, weight)
-    else:
-        begin = np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T
     # Copies: numba compiles once more for arrays that are read-only or not contiguous.
     feet, stiffness, lifts, spent = np.ascontiguousarray(feet), springs.stiffness_z.copy(), lifts.copy(), 0
+    if start is None:
+        begin = np.zeros((7, 3))
+        begin[:, 2] = -even_sink(stiffness, lifts, float(weight))
+    else:
+        begin = np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T
     for softness in ((SOFT_CONTACT,), SOFTENED):
         moved = begin
         for soft in softness:
-            moved, forces, residual, iterations = _levenberg_marquardt(
+            moved, forces, residual, iterations, firm = levenberg_marquardt(
                 feet, com, weight, stiffness, lateral_ratio, lifts, True, soft, moved
             )
             spent += iterations
         if residual <= TOLERANCE:
             break
     return _solution(
-        feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, level_from_hex
+        feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, firm, level_from_hex
     )
 
 
@@ -163,19 +160,31 @@ def solve_loaded(
 ) -> SagSolution:
     """Sag with feet either loaded or not, [SunSpiral2012] eqs 3-8.
 
-    Only loaded feet enter the equations. Their unknowns are forces, scaled to displacements by eq. 3. A loaded foot's
-    spring also pulls: this form cannot know that a foot lifts itself off.
+    Only loaded feet enter the equations. Unknowns are their forces and the CoM; each force is held as the displacement
+    force / k of eq. 3, which brings all unknowns to one size and changes nothing else. A loaded foot's spring also
+    pulls: this form cannot know that a foot lifts itself off.
+
+    Args:
+        feet_in_hex: where the springs hold the feet, unsagged, shape (6, 3) [m].
+        com_in_hex: centre of mass, unsagged [m].
+        weight: of the robot with payload [N].
+        stiffness_z: spring constants along gravity, shape (6,) [N/m].
+        lateral_ratio: horizontal over vertical stiffness.
+        loaded: which feet carry, shape (6,), at least three.
+        gravity_in_hex: where gravity points; any length.
     """
     springs = FootSprings(stiffness_z=stiffness_z, lateral_ratio=lateral_ratio)
     count = int(np.sum(loaded))
-    if loaded.shape != (6,) or count < 3:
+    if loaded.shape != (6,):
+        raise SagError(f"flags of loaded feet have shape {loaded.shape}, need (6,)")
+    if count < 3:
         raise SagError(f"{count} loaded feet carry no robot, at least 3 do")
     level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
     feet, com = feet_in_hex[loaded] @ level_from_hex.T, level_from_hex @ com_in_hex
     stiffness = springs.stiffness_z[loaded]
     begin = np.zeros((count + 1, 3))
     begin[:, 2] = -weight / stiffness.sum()
-    moved, forces, residual, iterations = _levenberg_marquardt(
+    moved, forces, residual, iterations, firm = levenberg_marquardt(
         np.ascontiguousarray(feet), com, weight, stiffness, lateral_ratio, np.zeros(count), False, SOFT_CONTACT, begin
     )
     before = np.vstack([feet_in_hex[loaded], com_in_hex])
@@ -187,7 +196,7 @@ def solve_loaded(
     all_forces[loaded] = forces @ level_from_hex
     lifts = np.where(loaded, 0.0, AIRBORNE)
     return _solution(
-        feet_in_hex, com_in_hex, displacements, all_forces, lifts, residual, iterations, level_from_hex, pose
+        feet_in_hex, com_in_hex, displacements, all_forces, lifts, residual, iterations, firm, level_from_hex, pose
     )
 
 
@@ -197,38 +206,26 @@ def _level_from_hex(feet: np.ndarray, com: np.ndarray, weight: float, gravity: n
         raise SagError(f"feet and CoM have shapes {feet.shape} and {com.shape}, need finite (6, 3) and (3,)")
     if not (np.isfinite(weight) and weight > 0.0):
         raise SagError(f"weight is {weight} N, must be positive")
-    size = float(np.linalg.norm(gravity))
+    size = math.sqrt(gravity @ gravity)
     if not (np.isfinite(size) and size > 0.0):
         raise SagError(f"gravity is {gravity}, must be finite with a length")
     up = -np.asarray(gravity, dtype=float) / size
-    side = np.cross(up, [1.0, 0.0, 0.0] if abs(up[0]) < 0.9 else [0.0, 1.0, 0.0])
-    side /= np.linalg.norm(side)
-    return np.array([np.cross(side, up), side, up])
-
-
-def _even_sink(stiffness: np.ndarray, lifts: np.ndarray, weight: float) -> float:
-    """How far all feet must sink together until their springs carry the weight [m]: where the iteration begins."""
-    if not np.isfinite(lifts).any():
-        return 0.0
-    order = np.argsort(lifts)
-    carrying, pressed, sink = 0.0, 0.0, 0.0
-    for place, foot in enumerate(order):
-        if not np.isfinite(lifts[foot]):
-            break
-        carrying += stiffness[foot]
-        pressed += stiffness[foot] * lifts[foot]
-        sink = float((weight + pressed) / carrying)
-        following = lifts[order[place + 1]] if place < 5 else AIRBORNE
-        if sink <= following:
-            break
-    return sink
+    # Cross products written out: numpy's cost as much as the whole iteration.
+    x, y, z = up
+    side = np.array([0.0, z, -y] if abs(x) < 0.9 else [-z, 0.0, x])
+    side /= math.sqrt(side @ side)
+    a, b, c = side
+    return np.array([[b * z - c * y, c * x - a * z, a * y - b * x], side, up])
 
 
 def _rigid_fit(before: np.ndarray, after: np.ndarray) -> SE3:
     """The rigid motion that takes one set of points to the other, in the least-squares sense (Kabsch)."""
-    centre, moved = before.mean(axis=0), after.mean(axis=0)
+    centre, moved = before.sum(axis=0) / len(before), after.sum(axis=0) / len(after)
     u, _, vt = np.linalg.svd((after - moved).T @ (before - centre))
-    rotation = u @ np.diag([1.0, 1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    (a, b, c), (d, e, f), (g, h, i) = (u @ vt).tolist()
+    if a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g) < 0.0:  # numpy's determinant takes longer than its SVD
+        u[:, 2] = -u[:, 2]
+    rotation = u @ vt
     return SE3(rotation, moved - rotation @ centre)
 
 
@@ -240,6 +237,7 @@ def _solution(
     lifts: np.ndarray,
     residual: float,
     iterations: int,
+    firm: bool,
     level_from_hex: np.ndarray,
     pose: SE3 | None = None,
 ) -> SagSolution:
@@ -256,7 +254,7 @@ def _solution(
             status = "too_few_feet"
     elif loaded.sum() < 3:
         status = "too_few_feet"
-    elif float(up @ pose.rotation @ up) < np.cos(MAX_TILT):
+    elif not firm or float(up @ pose.rotation @ up) < np.cos(MAX_TILT):
         status = "tips"
     return SagSolution(
         forces=forces,
@@ -273,169 +271,3 @@ def _solution(
 
 def _tips(feet_level: np.ndarray, com_level: np.ndarray) -> bool:
     return len(feet_level) > 0 and signed_distance(com_level[:2].copy(), feet_level[:, :2].copy()) < 0.0
-
-
-@njit(cache=True)
-@no_type_check
-def _spring_forces(d, stiffness, lateral_ratio, lifts, unilateral, soft):
-    """Forces on n feet displaced by d, and what their derivative needs: horizontal stiffness now, and its change."""
-    n = stiffness.shape[0]
-    forces, side, change = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
-    bears = np.zeros(n, dtype=np.bool_)
-    for i in range(n):
-        compression = -d[i, 2] - lifts[i]
-        if unilateral and compression <= 0.0:
-            continue
-        bears[i] = True
-        side[i] = lateral_ratio * stiffness[i]
-        if unilateral and compression < soft:
-            s = compression / soft
-            change[i] = -side[i] * 6.0 * s * (1.0 - s) / soft
-            side[i] *= s * s * (3.0 - 2.0 * s)
-        forces[i, 0] = -side[i] * d[i, 0]
-        forces[i, 1] = -side[i] * d[i, 1]
-        forces[i, 2] = stiffness[i] * compression
-    return forces, side, change, bears
-
-
-@njit(cache=True)
-@no_type_check
-def _equations(x, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, res, jac):
-    """Scaled residuals of eqs 4-8 and their derivatives by the scaled displacements x (n + 1, 3), CoM last."""
-    n = stiffness.shape[0]
-    d = x * scale
-    p = r0 + d
-    forces, side, change, bears = _spring_forces(d[:n], stiffness, lateral_ratio, lifts, unilateral, soft)
-    res[:] = 0.0
-    jac[:, :] = 0.0
-    # Eq. 4 over the weight, eq. 5 over weight and size.
-    res[2] = -1.0
-    res[3] = -p[n, 1] / size
-    res[4] = p[n, 0] / size
-    jac[3, 3 * n + 1] = -scale / size
-    jac[4, 3 * n] = scale / size
-    g = np.zeros((3, 3))
-    for i in range(n):
-        fx, fy, fz = forces[i, 0] / weight, forces[i, 1] / weight, forces[i, 2] / weight
-        px, py, pz = p[i, 0], p[i, 1], p[i, 2]
-        res[0] += fx
-        res[1] += fy
-        res[2] += fz
-        res[3] += (py * fz - pz * fy) / size
-        res[4] += (pz * fx - px * fz) / size
-        res[5] += (px * fy - py * fx) / size
-        if not bears[i]:
-            continue
-        # g = d force / d displacement: the horizontal forces also change with compression while contact comes in.
-        g[0, 0] = -side[i] / weight
-        g[1, 1] = g[0, 0]
-        g[2, 2] = -stiffness[i] / weight
-        g[0, 2] = -change[i] * d[i, 0] / weight
-        g[1, 2] = -change[i] * d[i, 1] / weight
-        for c in range(3):
-            col = 3 * i + c
-            for row in range(3):
-                jac[row, col] = g[row, c] * scale
-            jac[3, col] = (py * g[2, c] - pz * g[1, c]) * scale / size
-            jac[4, col] = (pz * g[0, c] - px * g[2, c]) * scale / size
-            jac[5, col] = (px * g[1, c] - py * g[0, c]) * scale / size
-        jac[3, 3 * i + 1] += fz * scale / size
-        jac[3, 3 * i + 2] -= fy * scale / size
-        jac[4, 3 * i + 2] += fx * scale / size
-        jac[4, 3 * i] -= fz * scale / size
-        jac[5, 3 * i] += fy * scale / size
-        jac[5, 3 * i + 1] -= fx * scale / size
-    # Eqs 6, 7 and 8: neighbours, every other foot, and the CoM keep their distances.
-    row = 6
-    for i in range(n):
-        for kind in range(3):
-            j = n if kind == 2 else (i + kind + 1) % n
-            before, after = 0.0, 0.0
-            for c in range(3):
-                before += (r0[i, c] - r0[j, c]) ** 2
-                after += (p[i, c] - p[j, c]) ** 2
-            before, after = np.sqrt(before), np.sqrt(after)
-            res[row] = (after - before) / scale
-            for c in range(3):
-                unit = (p[i, c] - p[j, c]) / max(after, 1e-12)
-                jac[row, 3 * i + c] += unit
-                jac[row, 3 * j + c] -= unit
-            row += 1
-
-
-@njit(cache=True)
-@no_type_check
-def _cholesky_solve(a, b):
-    """Solves a x = b in place for a symmetric a; False when a is not positive definite."""
-    n = a.shape[0]
-    for i in range(n):
-        for j in range(i + 1):
-            s = a[i, j]
-            for k in range(j):
-                s -= a[i, k] * a[j, k]
-            if i == j:
-                if s <= 0.0:
-                    return False
-                a[i, i] = np.sqrt(s)
-            else:
-                a[i, j] = s / a[j, j]
-    for i in range(n):
-        s = b[i]
-        for k in range(i):
-            s -= a[i, k] * b[k]
-        b[i] = s / a[i, i]
-    for i in range(n - 1, -1, -1):
-        s = b[i]
-        for k in range(i + 1, n):
-            s -= a[k, i] * b[k]
-        b[i] = s / a[i, i]
-    return True
-
-
-@njit(cache=True)
-@no_type_check
-def _levenberg_marquardt(feet, com, weight, stiffness, lateral_ratio, lifts, unilateral, soft, begin):
-    """Displacements (n + 1, 3), forces (n, 3), largest residual, iterations. z is up; lengths in metres."""
-    n = stiffness.shape[0]
-    unknowns, rows = 3 * (n + 1), 6 + 3 * n
-    # Moments are taken about the middle of the feet: far from it they would drown in rounding.
-    centre = np.zeros(3)
-    for i in range(n):
-        centre += feet[i] / n
-    r0 = np.empty((n + 1, 3))
-    size = 0.0
-    for i in range(n):
-        r0[i] = feet[i] - centre
-        size += np.sqrt(np.sum(r0[i] ** 2)) / n
-    r0[n] = com - centre
-    scale = weight / np.sum(stiffness)
-    x = begin / scale
-    res, jac = np.empty(rows), np.empty((rows, unknowns))
-    trial_res, trial_jac = np.empty(rows), np.empty((rows, unknowns))
-    _equations(x, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, res, jac)
-    cost, damping, iteration = np.sum(res**2), 1e-3, 0
-    while iteration < MAX_ITERATIONS and np.max(np.abs(res)) > 0.01 * TOLERANCE and damping < 1e12:
-        iteration += 1
-        normal = jac.T @ jac
-        step = -(jac.T @ res)
-        for k in range(unknowns):
-            normal[k, k] += damping * normal[k, k] + 1e-15
-        if not _cholesky_solve(normal, step):
-            damping = max(8.0 * damping, 1e-9)
-            continue
-        trial = x + step.reshape(n + 1, 3)
-        _equations(
-            trial, r0, weight, stiffness, lateral_ratio, lifts, unilateral, soft, size, scale, trial_res, trial_jac
-        )
-        trial_cost = np.sum(trial_res**2)
-        if trial_cost < cost:
-            x, cost = trial, trial_cost
-            res, trial_res = trial_res, res
-            jac, trial_jac = trial_jac, jac
-            damping = max(0.05 * damping, 1e-14)
-        else:
-            if np.max(np.abs(step)) < 1e-13:
-                break
-            damping = max(8.0 * damping, 1e-9)
-    forces = _spring_forces(x[:n] * scale, stiffness, lateral_ratio, lifts, unilateral, soft)[0]
-    return x * scale, forces, np.max(np.abs(res)), iteration
