@@ -1,0 +1,199 @@
+"""Verdicts on every cell of a map, held against Pinocchio, coal and the candidates' judgement one by one."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from athlete_twin.errors import SupportError
+from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.spec import load_spec
+from athlete_twin.model.stance import regular_stance
+from athlete_twin.model.statics import stance_loads, torque_fractions, wheel_loads
+from planner.footfall import FootfallConfig, score_footfalls
+from planner.motion.collision import CollisionConfig, LegCollision
+from planner.stability.ground_map import (
+    COLLISION,
+    GROUND,
+    LAST_LINK,
+    MARGIN,
+    OK,
+    TORQUE,
+    UNKNOWN,
+    UNREACHABLE,
+    GroundMapConfig,
+    ground_map,
+    ground_maps,
+)
+from planner.stability.stability_map import StabilityConfig, stability_map
+from planner.stability.stance_torque import leg_torques, peak_torques, zero_interaction
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+class Stand:
+    """A robot in its normal stance over flat ground with one rock and one dark patch."""
+
+    def __init__(self, robot, *, cell=0.2, tilt=0.0):
+        self.spec = load_spec(robot)
+        self.kin = Kinematics(self.spec)
+        self.joints = regular_stance(self.spec)
+        n = round(8.0 / cell) if robot == "sdm_b" else round(12.0 / cell)
+        first = -0.5 * cell * (n - 1)
+        heights = np.zeros((n, n))
+        x = first + cell * np.arange(n)
+        rock = np.hypot(x[:, None] - 2.4, x[None, :] - 0.2) < 0.3
+        heights[rock] = 0.5
+        heights[(np.abs(x[:, None] + 2.2) < 0.3) & (np.abs(x[None, :]) < 0.3)] = np.nan
+        self.grid = HeightGrid(origin_x=first, origin_y=first, cell=cell, heights=heights)
+        self.pose = SE3.from_rpy(0.0, tilt, 0.0, np.array([0.0, 0.0, self.spec.chassis_height - 0.05]))
+        self.footfalls = score_footfalls(
+            self.grid, np.full((n, n), 1e-4), wheel_radius=self.spec.wheel.radius, config=FootfallConfig()
+        )
+
+    def config(self, **changes):
+        made = GroundMapConfig(stability=StabilityConfig(min_margin=self.spec.min_support_margin))
+        return dataclasses.replace(made, **changes)
+
+    def map(self, leg, **changes):
+        footfalls = changes.pop("footfalls", self.footfalls)
+        return ground_map(
+            self.kin, self.joints, leg, terrain=self.grid, world_from_hex=self.pose, config=self.config(**changes), footfalls=footfalls
+        )
+
+    def places(self):
+        x, y = self.grid.centres()
+        return np.stack([*np.meshgrid(x, y, indexing="ij"), self.grid.heights], axis=-1).reshape(-1, 3)
+
+
+@pytest.fixture(scope="module", params=["sdm_b", "t12"])
+def stand(request):
+    return Stand(request.param)
+
+
+def test_reach_and_margins_are_those_of_the_candidates(stand):
+    found = stand.map(0, collision=None, footfalls=None, max_torque_fraction=np.inf)
+    judged = stability_map(
+        stand.kin, stand.joints, leg=0, footfalls_in_world=stand.places(), world_from_hex=stand.pose,
+        config=stand.config().stability, lift=stand.config().lift,
+    )  # fmt: skip
+    reached = ~np.isin(found.reason.ravel(), (UNKNOWN, UNREACHABLE, LAST_LINK))
+    np.testing.assert_array_equal(reached, judged.reachable)
+    np.testing.assert_array_equal(found.ok.ravel(), judged.ok)
+    assert (found.reason == UNKNOWN).sum() == np.isnan(stand.grid.heights).sum() > 0
+    assert sum(found.counts().values()) == found.reason.size
+
+
+def test_joints_put_the_wheel_on_its_cell(stand):
+    found = stand.map(3, collision=None)
+    places = stand.places().reshape(*stand.grid.shape, 3)
+    cells = np.argwhere(found.ok)
+    assert len(cells) > 20
+    for ix, iy in cells[::17]:
+        wheel = stand.kin.leg_wheel(3, found.joints[ix, iy])
+        np.testing.assert_allclose(stand.pose.apply(wheel.translation), places[ix, iy] + stand.spec.wheel.radius * UP, atol=1e-6)
+
+
+def test_a_cell_only_a_leaning_last_link_reaches_is_told_from_one_out_of_reach(stand):
+    found = stand.map(1, collision=None)
+    rim = found.reason == LAST_LINK
+    assert rim.any()
+    hip = stand.pose.apply(stand.spec.hips_in_hex[1])[:2]
+    distance = np.linalg.norm(stand.places()[:, :2] - hip, axis=1).reshape(rim.shape)
+    reached = ~np.isin(found.reason, (UNKNOWN, UNREACHABLE, LAST_LINK))
+    flat = stand.grid.heights == 0.0
+    assert distance[rim & flat].max() > distance[reached & flat].max()
+
+
+def test_collisions_are_coals(stand):
+    found = stand.map(0)
+    filled = HeightGrid(
+        origin_x=stand.grid.origin_x, origin_y=stand.grid.origin_y, cell=stand.grid.cell,
+        heights=np.nan_to_num(stand.grid.heights),
+    )  # fmt: skip
+    check = LegCollision(stand.spec, filled, stand.pose, stand.joints, 0, CollisionConfig())
+    reached = np.argwhere(np.isfinite(found.joints[..., 0]) & ~np.isin(found.reason, (UNREACHABLE, LAST_LINK)))
+    verdicts = [(found.reason[ix, iy] == COLLISION, check.is_free_near_ground(found.joints[ix, iy])) for ix, iy in reached]
+    assert all(hit != free for hit, free in verdicts)
+    assert {hit for hit, _ in verdicts} == {True, False}
+
+
+def test_first_reason_wins_and_the_ground_comes_last(stand):
+    free = stand.map(0, collision=None)
+    assert (free.reason == GROUND).any()
+    weak = stand.map(0, collision=None, max_torque_fraction=0.05)
+    assert not (weak.reason == OK).any() and not (weak.reason == GROUND).any() and (weak.reason == TORQUE).any()
+    shaky = stand.map(0, collision=None, max_torque_fraction=0.05, stability=StabilityConfig(min_margin=2.0))
+    assert (shaky.reason == MARGIN).any() and not (shaky.reason == TORQUE).any()
+
+
+def test_six_maps_are_the_six_legs(stand):
+    config = stand.config(collision=None)
+    maps = ground_maps(
+        stand.kin, stand.joints, terrain=stand.grid, world_from_hex=stand.pose, config=config, footfalls=stand.footfalls
+    )
+    assert [m.leg for m in maps] == list(range(6))
+    np.testing.assert_array_equal(maps[4].reason, stand.map(4, collision=None).reason)
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_torques_of_one_leg_are_pinocchios(robot):
+    spec, kin = load_spec(robot), Kinematics(load_spec(robot))
+    rng = np.random.default_rng(3)
+    joints = rng.uniform(spec.lower, spec.upper, (6, spec.dof))
+    forces, contacts, gravity = rng.normal(0.0, 2000.0, (6, 3)), rng.normal(0.0, 2.0, (6, 3)), np.array([0.8, -0.5, -9.7])
+    expected = kin.gravity_torques(joints, gravity, forces, contacts)
+    for leg in range(6):
+        found = leg_torques(
+            spec, leg, joints[[leg]], force_in_hex=forces[[leg]], contact_in_hex=contacts[[leg]], gravity_in_hex=gravity
+        )
+        np.testing.assert_allclose(found[0], expected[leg], atol=1e-6)  # Pinocchio's URDF rounds angles to 1e-9
+
+
+def test_forces_of_many_stances_are_those_of_each():
+    rng = np.random.default_rng(4)
+    contacts = rng.normal(0.0, 1.0, (20, 5, 3)) * [2.0, 2.0, 0.2]
+    com, down = rng.normal(0.0, 0.2, (20, 3)) + UP, np.array([0.1, 0.0, -1.0])
+    down /= np.linalg.norm(down)
+    found = zero_interaction(contacts, com, weight=8000.0, down=down)
+    for k in range(20):
+        expected = wheel_loads(contacts[k], com[k], weight=8000.0, gravity_direction=down)
+        np.testing.assert_allclose(found[k], expected, atol=1e-5)
+
+
+@pytest.mark.parametrize("tilt", [0.0, 0.1])
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_peak_torque_is_that_of_both_stances(robot, tilt):
+    stand = Stand(robot, tilt=tilt)
+    found = stand.map(2, collision=None, footfalls=None, max_torque_fraction=np.inf)
+    cells = np.argwhere(found.ok)[::23]
+    q = np.array([found.joints[ix, iy] for ix, iy in cells])
+    places = np.array([stand.places().reshape(*stand.grid.shape, 3)[ix, iy] for ix, iy in cells])
+    peaks = peak_torques(stand.kin, stand.joints, 2, q, places=places, world_from_hex=stand.pose)
+    gravity = stand.pose.inverse().rotate(-GRAVITY * UP)
+    for angles, peak in zip(q, peaks, strict=True):
+        joints, each = stand.joints.copy(), []
+        joints[2] = angles
+        for standing in (np.arange(6) != 2, np.ones(6, dtype=bool)):
+            forces, contacts = stance_loads(stand.kin, joints, supporting=standing, gravity_in_hex=gravity)
+            fractions = torque_fractions(
+                stand.kin, joints, wheel_forces_in_hex=forces, contact_in_hex=contacts, gravity_in_hex=gravity
+            )
+            each.append(np.abs(fractions).max())
+        assert peak == pytest.approx(max(each), rel=1e-5)
+
+
+def test_wrong_use_is_refused(stand):
+    with pytest.raises(SupportError, match="leg index 6"):
+        stand.map(6)
+    with pytest.raises(SupportError, match=r"lift is -0\.1 m"):
+        stand.config(lift=-0.1)
+    with pytest.raises(SupportError, match=r"max_torque_fraction is 0\.0"):
+        stand.config(max_torque_fraction=0.0)
+    with pytest.raises(SupportError, match="between 0 and 90"):
+        stand.config(tilts_deg=(95.0,))
+    other = Stand(stand.spec.name, cell=0.5)
+    with pytest.raises(SupportError, match="footfall scores have shape"):
+        stand.map(0, footfalls=other.footfalls)
