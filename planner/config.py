@@ -10,7 +10,7 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
                                     # with Open3D's registration), filter (Kalman filter of wheels, attitude and map)
     sag = "springs"                 # none, raise_terrain, springs
     margin = "cps"                  # cps, support, energy
-    footfall = "free_volume"        # max_min, plane_fit, free_volume
+    footfall = "free_volume"        # max_min, plane_fit, support_area, support_energy, free_volume, equilibrium, asv_slope
     leg_planner = "sbl"             # sbl, or one of OMPL's
     smoothing = "dijkstra_bisect"
     gait = "reverse_wave"
@@ -34,6 +34,7 @@ import numpy as np
 
 from athlete_twin.errors import AthleteError, ConfigError
 from athlete_twin.model.spec import RobotSpec
+from planner.footfall import METHODS as FOOTFALLS
 from planner.footfall import FootfallConfig
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
@@ -64,7 +65,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "localisation": ("wheels", "wheels_and_map", "icp", "filter"),
     "sag": ("none", "raise_terrain", "springs"),
     "margin": MARGINS,
-    "footfall": ("max_min", "plane_fit", "free_volume"),
+    "footfall": FOOTFALLS,
     "leg_planner": LEG_PLANNERS,
     "smoothing": ("dijkstra_bisect",),
     "gait": ("reverse_wave",),
