@@ -8,8 +8,10 @@ touch a rock beside it. Roughness is what remains of height range and mean gap a
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import cv2
+import numba
 import numpy as np
 
 from athlete_twin.errors import ConfigError, TerrainError
@@ -106,16 +108,16 @@ def score_footfalls(
     known = np.isfinite(heights)
     filled = _fill(heights, known, foot)
 
-    share = known.astype(np.float64)
-    refused = 1.0 - window_sum(share, foot, border=0.0) / float(foot.sum()) > config.max_unknown_fraction + 1e-9
+    n = float(foot.sum())
+    refused = 1.0 - _count(known, foot, cv2.BORDER_CONSTANT) / n > config.max_unknown_fraction + 1e-9
     under = underfoot(filled, foot, cell=grid.cell)
     # A wheel on a plane touches it beside its axle's foot: its axle stands higher by R (1 / cos - 1).
     contact = under.mean + wheel_radius * (np.hypot(1.0, under.steepness) - 1.0)
     intrusion = _flank_intrusion(filled, known, grid.cell, radius, wheel_radius, config.flank_clearance) - contact
     trusted = known & np.isfinite(variance)
-    sigma2 = window_sum(np.where(trusted, variance, 0.0), foot) / np.maximum(window_sum(share, foot), 1.0)
+    sigma2 = window_sum(np.where(trusted, variance, 0.0), foot) / np.maximum(_count(known, foot, cv2.BORDER_REPLICATE), 1.0)
     # An unknown cell may be as wrong as the worst that is let pass.
-    sigma = np.sqrt(np.where(trusted, variance, config.max_sigma**2))
+    supposed = np.where(trusted, variance, config.max_sigma**2)
 
     veto = np.select(
         [
@@ -131,7 +133,7 @@ def score_footfalls(
     return FootfallMap(
         grid=grid,
         method=config.method,
-        cost=np.where(refused, np.nan, cost(under, config, sigma=sigma, refused=refused)),
+        cost=np.where(refused, np.nan, cost(under, config, variance=supposed, refused=refused)),
         veto=veto,
         contact_height=np.where(refused, np.nan, contact),
         slope=np.where(refused, np.nan, np.arctan(under.steepness)),
@@ -147,31 +149,46 @@ def _fill(heights: np.ndarray, known: np.ndarray, foot: np.ndarray) -> np.ndarra
         return np.ascontiguousarray(heights)
     around = np.ones((max(foot.shape[0], 3),) * 2)
     total = window_sum(np.where(known, heights - level, 0.0), around, border=0.0)
-    count = window_sum(known.astype(np.float64), around, border=0.0)
-    return np.ascontiguousarray(np.where(known, heights, level + total / np.maximum(np.rint(count), 1.0)))
+    count = np.maximum(_count(known, around, cv2.BORDER_CONSTANT), 1.0)
+    return np.ascontiguousarray(np.where(known, heights, level + total / count))
+
+
+def _count(what: np.ndarray, foot: np.ndarray, border: int) -> np.ndarray:
+    """Number of true cells under each footprint; single precision holds it exactly, and is filtered faster."""
+    counted = cv2.filter2D(what.astype(np.float32), cv2.CV_32F, foot.astype(np.float32), borderType=border)
+    return np.rint(counted.astype(np.float64))
 
 
 def _is_rough(under: Underfoot, config: FootfallConfig) -> np.ndarray:
-    """Where height range or mean gap exceed what is allowed beyond the slope's own part."""
-    range_of_slope, gap_of_slope = _slope_parts(under.slope_x, under.slope_y, under.foot, under.cell)
-    height_range, mean_gap = under.highest - under.lowest, under.highest - under.mean
-    too_far = height_range - range_of_slope > config.max_height_range
-    return np.asarray(too_far | (mean_gap - gap_of_slope > config.max_mean_gap))
-
-
-def _slope_parts(
-    slope_x: np.ndarray, slope_y: np.ndarray, foot: np.ndarray, cell: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Height range and mean gap that a plane of the given gradient has over the footprint's cells [m].
+    """Where height range or mean gap exceed what is allowed beyond those of a plane of the same slope.
 
     Only the footprint's outermost cells reach the extremes of a plane, and it is symmetric: the gap is half the range.
     """
-    k = foot.shape[0] // 2
-    half = np.zeros_like(slope_x)
-    for row in range(2 * k + 1):
-        reach = np.flatnonzero(foot[row]).max() - k
-        half = np.maximum(half, np.abs(slope_x) * (row - k) + np.abs(slope_y) * reach)
-    return 2.0 * cell * half, cell * half
+    k = under.foot.shape[0] // 2
+    reaches = [int(np.flatnonzero(under.foot[k + row]).max()) - k for row in range(k + 1)]
+    # A row farther out that is as wide reaches farther.
+    corners = np.array([(row, reach) for row, reach in enumerate(reaches) if reach not in reaches[row + 1 :]])
+    return np.asarray(
+        _rough(
+            under.highest, under.lowest, under.mean, under.slope_x, under.slope_y, corners, under.cell,
+            config.max_height_range, config.max_mean_gap,
+        )
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _rough(highest, lowest, mean, slope_x, slope_y, corners, cell, max_range, max_gap):
+    nx, ny = highest.shape
+    rough = np.empty((nx, ny), dtype=np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            along, across, half = abs(slope_x[i, j]), abs(slope_y[i, j]), 0.0
+            for c in range(len(corners)):
+                half = max(half, along * corners[c, 0] + across * corners[c, 1])
+            too_far = highest[i, j] - lowest[i, j] - 2.0 * cell * half > max_range
+            rough[i, j] = too_far or highest[i, j] - mean[i, j] - cell * half > max_gap
+    return rough
 
 
 def _flank_intrusion(
@@ -194,5 +211,6 @@ def _flank_intrusion(
         d = max(0.0, cell * float(np.sqrt(ring)) - clearance)
         hull = wheel_radius - float(np.sqrt(max(0.0, wheel_radius**2 - d**2)))
         reached = cv2.dilate(ground, (steps == ring).astype(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=-1e6)
-        np.maximum(highest, reached - hull, out=highest)
+        np.subtract(reached, hull, out=reached)
+        np.maximum(highest, reached, out=highest)
     return highest

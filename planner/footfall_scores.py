@@ -155,16 +155,16 @@ def underfoot(heights: Cells, foot: np.ndarray, *, cell: float) -> Underfoot:
     )
 
 
-def cost(under: Underfoot, config: CostConfig, *, sigma: Cells, refused: np.ndarray) -> Cells:
+def cost(under: Underfoot, config: CostConfig, *, variance: Cells, refused: np.ndarray) -> Cells:
     """Of putting a foot on each cell, by the method of the configuration and in its unit, shape (nx, ny).
 
     Args:
         under: the ground under a foot on each cell.
         config: method and constants.
-        sigma: deviation of the heights [m]; matters when `config.deviations` is not 0.
+        variance: of the heights [m2]; matters when `config.deviations` is not 0.
         refused: cells that are no footfall for want of known ground: none of them is a region's best.
     """
-    margin = config.deviations * sigma if config.deviations > 0.0 else None
+    margin = config.deviations * np.sqrt(variance) if config.deviations > 0.0 else None
     if config.method == "asv_slope":
         slope = np.arctan(under.steepness + _moment_of(margin, under) / max(under.second_moment, 1e-12))
         return np.asarray(np.where(slope > np.deg2rad(config.asv_slope_deg), slope, 0.0))

@@ -112,17 +112,14 @@ def _select(padded, du, dv, network, rank, shape):
 @no_type_check
 def _work(padded, du, dv, highest, depth, powers):
     nx, ny = depth.shape
-    steps = len(powers) - 2
+    steps = float(len(powers) - 2)
     out = np.zeros((nx, ny))
     for i in range(nx):
-        for j in range(ny):
-            if depth[i, j] <= 0.0:
-                continue
-            scale, top = steps / depth[i, j], highest[i, j]
-            total = 0.0
-            for c in range(len(du)):
-                at = min(max((top - padded[i + du[c], j + dv[c]]) * scale, 0.0), float(steps))
-                below = int(at)
-                total += 1.0 - powers[below] - (at - below) * (powers[below + 1] - powers[below])
-            out[i, j] = total
+        scale = steps / np.maximum(depth[i], 1e-12)
+        for c in range(len(du)):
+            under = padded[i + du[c], dv[c] : dv[c] + ny]
+            for j in range(ny):
+                at = min(max((highest[i, j] - under[j]) * scale[j], 0.0), steps)
+                below = np.uint32(at)
+                out[i, j] += 1.0 - powers[below] - (at - below) * (powers[below + 1] - powers[below])
     return out
