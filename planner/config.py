@@ -36,6 +36,7 @@ from athlete_twin.errors import AthleteError, ConfigError
 from athlete_twin.model.spec import RobotSpec
 from planner.footfall import METHODS as FOOTFALLS
 from planner.footfall import FootfallConfig
+from planner.footfall_scores import TYPICAL
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
 from planner.gait.skeleton import GaitConfig
@@ -154,7 +155,11 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
     for stage in own:
         if stage not in SETTINGS:
             raise ConfigError(f"variant {name}: [settings.{stage}] is not known; {_meant(stage, tuple(SETTINGS))}")
-    extra: dict[str, float] = {"level_deck_deg": float(level), "terrain_clearance": CLEARANCE * spec.wheel.radius}
+    extra: dict[str, float] = {
+        "level_deck_deg": float(level),
+        "terrain_clearance": CLEARANCE * spec.wheel.radius,
+        "typical_terrain": TYPICAL[chosen["footfall"]],
+    }
     if chosen["localisation"] == "filter":
         extra |= WIDE_PRIOR
     made = {

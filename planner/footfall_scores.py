@@ -32,6 +32,12 @@ from planner.footfall_support import bearing_cells, energy, level
 
 METHODS = ("max_min", "plane_fit", "support_area", "support_energy", "free_volume", "equilibrium", "asv_slope")
 SHAPES = ("disc", "square")
+TYPICAL = {
+    "max_min": 0.026, "plane_fit": 4.5e-5, "support_area": 0.013, "support_energy": 2.6, "free_volume": 0.0015,
+    "equilibrium": 0.0015, "asv_slope": np.deg2rad(14.0) / 3.0,
+}  # fmt: skip
+"""cost under SDM-B's wheel where the free volume is typical of walkable ground: medians over such cells of five fields each of
+`rock_field`, `black_point` and `moses_lake`. A step search weighs no more than three times it: beyond the ASV's threshold"""
 NO_FOOTFALL = 1e6
 """free volume of what is no footfall [m3]"""
 
@@ -188,8 +194,16 @@ def cost(under: Underfoot, config: CostConfig, *, variance: Cells, refused: np.n
     volume = gap * n * under.cell**2
     if config.method == "free_volume":
         return np.asarray(volume)
-    moment = under.cell**2 * (under.second_moment * under.steepness + _moment_of(margin, under))
-    return _equilibrium(volume, moment, under, config, refused)
+    return _equilibrium(volume, first_moment(under) + under.cell**2 * _moment_of(margin, under), under, config, refused)
+
+
+def first_moment(under: Underfoot) -> Cells:
+    """M of [Caillas1989] s3.1.5: first moment about the foot's middle of the room below a plate on it, shape (nx, ny) [m4].
+
+    Of m_x = sum(y_i (z_max - z_i)) the part with z_max is zero over a symmetric footprint, and sum(y_i z_i) is what the
+    least-squares plane is made of.
+    """
+    return np.asarray(under.cell**2 * under.second_moment * under.steepness)
 
 
 def window_sum(values: np.ndarray, foot: np.ndarray, *, border: float | None = None) -> np.ndarray:
