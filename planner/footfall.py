@@ -156,7 +156,7 @@ def _fill(heights: np.ndarray, known: np.ndarray, foot: np.ndarray) -> np.ndarra
 def _count(what: np.ndarray, foot: np.ndarray, border: int) -> np.ndarray:
     """Number of true cells under each footprint; single precision holds it exactly, and is filtered faster."""
     counted = cv2.filter2D(what.astype(np.float32), cv2.CV_32F, foot.astype(np.float32), borderType=border)
-    return np.rint(counted.astype(np.float64))
+    return np.asarray(np.rint(counted.astype(np.float64)))
 
 
 def _is_rough(under: Underfoot, config: FootfallConfig) -> np.ndarray:

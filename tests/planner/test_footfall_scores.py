@@ -74,12 +74,14 @@ def test_a_step_costs_what_the_paper_says(filled):
     # Printed M = p h for a step whose middle is p from the foot's, which is in m2; its length is left out.
     p = 0.5 * (d - length)
     assert moment_of_profile(step) / d == pytest.approx(p * h * length)
+    tangent = 6 * h * length * (d - length) / d**3  # of the best line through a step
+    assert cost_of_profile(step, "asv_slope", asv_slope_deg=1.0) == pytest.approx(np.arctan(tangent), rel=1e-3)
 
 
 def test_a_step_that_bears_enough_is_no_support_area_s_business():
     """The paper's own objection: a high step is not told from a low one where l exceeds the least that must bear."""
     for h in (0.02, 0.30):
-        step = lambda x, h=h: np.where(np.arange(N) < 40, h, 0.0)
+        step = lambda x, h=h: np.where(np.arange(N) < 40, h, 0.0)  # noqa: E731
         assert cost_of_profile(step, "support_area") == cost_of_profile(step, "support_energy") == 0.0
         assert cost_of_profile(step, "support_area", min_support_fraction=0.7) == pytest.approx(h)
 
@@ -136,7 +138,9 @@ def test_support_area_of_a_sinusoid_is_near_its_amplitude_at_any_high_frequency(
 
 
 def test_a_sinusoid_symmetric_about_the_foot_s_middle_has_no_moment():
-    assert moment_of_profile(lambda x: 0.03 * np.cos(2 * np.pi * 1.7 * x / SIDE)) == pytest.approx(0.0, abs=1e-12)
+    wave = lambda x: 0.03 * np.cos(2 * np.pi * 1.7 * x / SIDE)  # noqa: E731
+    assert moment_of_profile(wave) == pytest.approx(0.0, abs=1e-12)
+    assert cost_of_profile(wave, "asv_slope", asv_slope_deg=1e-3) == 0.0
 
 
 def test_the_energy_of_a_sinusoid_is_the_integral_of_equation_6():
