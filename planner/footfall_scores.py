@@ -57,7 +57,7 @@ class CostConfig:
     min_support_fraction: float = 0.5
     """of the footprint: what must bear before a foot stops sinking; [Caillas1989] s3.2.1 reckons with one half"""
     soil_k: float = 1.5e6
-    """k of P = k delta^n [Pa/m^n]: dry sand of Wong's tables, 1528 kPa/m^n and a little for the foot's width"""
+    """k of P = k delta^n [Pa/m^n]: k_phi + k_c / b of Bekker's dry sand, 1528 and 0.99 kN, for a foot of b = 15 cm"""
     soil_n: float = 1.1
     """n of P = k delta^n: the same sand"""
     equilibrium_slack: float = 0.10
