@@ -45,8 +45,17 @@ def test_unknown_ground_under_the_wheel_is_refused_and_one_lost_cell_is_not():
     assert _veto_at(strict, 20, 20) == "unknown"
 
 
-def test_a_wholly_unknown_map_is_refused_everywhere():
-    assert (_score(np.full((30, 30), np.nan)).veto == REASONS.index("unknown")).all()
+@pytest.mark.parametrize("method", METHODS)
+def test_a_wholly_unknown_map_is_refused_everywhere(method):
+    scored = _score(np.full((30, 30), np.nan), method=method)
+    assert (scored.veto == REASONS.index("unknown")).all()
+    assert np.isnan(scored.cost).all()
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_a_foot_smaller_than_a_cell_finds_every_cell_flat(method):
+    heights = 0.05 * np.random.default_rng(6).normal(size=(30, 30))
+    assert _score(heights, method=method, footprint_diameter=0.04).cost == pytest.approx(0.0, abs=1e-12)
 
 
 def test_slopes_are_measured_and_refused_beyond_the_limit():
