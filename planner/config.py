@@ -10,7 +10,7 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
                                     # with Open3D's registration), filter (Kalman filter of wheels, attitude and map)
     sag = "springs"                 # none, raise_terrain, springs
     margin = "cps"                  # cps, support, energy
-    footfall = "free_volume"        # max_min, plane_fit, free_volume
+    footfall = "free_volume"        # max_min, plane_fit, support_area, support_energy, free_volume, equilibrium, asv_slope
     leg_planner = "sbl"             # sbl, or one of OMPL's
     smoothing = "dijkstra_bisect"
     gait = "reverse_wave"
@@ -34,7 +34,9 @@ import numpy as np
 
 from athlete_twin.errors import AthleteError, ConfigError
 from athlete_twin.model.spec import RobotSpec
+from planner.footfall import METHODS as FOOTFALLS
 from planner.footfall import FootfallConfig
+from planner.footfall_scores import TYPICAL
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
 from planner.gait.skeleton import GaitConfig
@@ -64,7 +66,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "localisation": ("wheels", "wheels_and_map", "icp", "filter"),
     "sag": ("none", "raise_terrain", "springs"),
     "margin": MARGINS,
-    "footfall": ("max_min", "plane_fit", "free_volume"),
+    "footfall": FOOTFALLS,
     "leg_planner": LEG_PLANNERS,
     "smoothing": ("dijkstra_bisect",),
     "gait": ("reverse_wave",),
@@ -153,7 +155,11 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
     for stage in own:
         if stage not in SETTINGS:
             raise ConfigError(f"variant {name}: [settings.{stage}] is not known; {_meant(stage, tuple(SETTINGS))}")
-    extra: dict[str, float] = {"level_deck_deg": float(level), "terrain_clearance": CLEARANCE * spec.wheel.radius}
+    extra: dict[str, float] = {
+        "level_deck_deg": float(level),
+        "terrain_clearance": CLEARANCE * spec.wheel.radius,
+        "typical_terrain": TYPICAL[chosen["footfall"]],
+    }
     if chosen["localisation"] == "filter":
         extra |= WIDE_PRIOR
     made = {

@@ -1,45 +1,35 @@
 """Where a wheel may be put down: the fused terrain to a cost and a veto, with its reason, for every cell.
 
-Costs are those of [Caillas1989] s3.1 over the wheel's footprint; the smaller the better:
-
-- `max_min`, eq. 2: highest less lowest elevation [m].
-- `plane_fit`, eqs 3-4: mean square distance from the mean elevation [m2]. The paper's plane is horizontal.
-- `free_volume`, eq. 8: room between a plate resting on the highest point and the ground [m3]. The paper chose it. Its
-  factor is printed d^2 / n^2 for n samples, which vanishes as n grows; the mean gap times the footprint's area is
-  meant.
-
-A cell is vetoed when the ground under the wheel is unknown, uncertain, steep or rough, or when the wheel's flank would
+The cost is that of one method over the wheel's footprint (`footfall_scores.py`). The veto is the same whatever the method:
+a cell is refused when the ground under the wheel is unknown, uncertain, steep or rough, or when the wheel's flank would
 touch a rock beside it. Roughness is what remains of height range and mean gap after the slope's own part.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import no_type_check
 
 import cv2
+import numba
 import numpy as np
 
 from athlete_twin.errors import ConfigError, TerrainError
 from athlete_twin.geometry.arrays import Cells
 from athlete_twin.geometry.grid import HeightGrid
+from planner.footfall_scores import METHODS, CostConfig, Underfoot, cost, footprint, underfoot, window_sum
 
-METHODS = ("max_min", "plane_fit", "free_volume")
-SHAPES = ("disc", "square")
+__all__ = ["METHODS", "REASONS", "FootfallConfig", "FootfallMap", "footprint", "score_footfalls"]
+
 REASONS = ("ok", "unknown", "uncertain", "steep", "rough", "step_beside")
 """names of the codes in `FootfallMap.veto`"""
 OK, UNKNOWN, UNCERTAIN, STEEP, ROUGH, STEP_BESIDE = range(len(REASONS))
 
 
 @dataclass(frozen=True, kw_only=True)
-class FootfallConfig:
+class FootfallConfig(CostConfig):
     """How footfalls are scored and which are refused."""
 
-    method: str = "free_volume"
-    """"max_min", "plane_fit" or "free_volume"; the last is what [Caillas1989] s5 recommends"""
-    shape: str = "disc"
-    """of the footprint: "disc", since the wheel may be steered any way, or the paper's "square" """
-    footprint_fraction: float = 0.75
-    """footprint radius (half side of a square) over the wheel's: a tyre's patch and the tread's curve beside it"""
     max_unknown_fraction: float = 0.10
     """of the footprint: a shadowed cell or two under a wheel shall not refuse it"""
     max_sigma: float = 0.04
@@ -56,12 +46,7 @@ class FootfallConfig:
     """height by which ground beside the footprint may stand into the clearance [m]; map noise and the tyre's give"""
 
     def __post_init__(self) -> None:
-        if self.method not in METHODS:
-            raise ConfigError(f"footfall method {self.method!r} is not one of {', '.join(METHODS)}")
-        if self.shape not in SHAPES:
-            raise ConfigError(f"footprint shape {self.shape!r} is not one of {', '.join(SHAPES)}")
-        if not 0.0 < self.footprint_fraction <= 2.0:
-            raise ConfigError(f"footprint_fraction is {self.footprint_fraction}, must be within 0 to 2")
+        super().__post_init__()
         if not 0.0 <= self.max_unknown_fraction < 1.0:
             raise ConfigError(f"max_unknown_fraction is {self.max_unknown_fraction}, must be at least 0 and below 1")
         for name in ("max_sigma", "max_slope_deg", "max_height_range", "max_mean_gap"):
@@ -116,7 +101,7 @@ def score_footfalls(
         raise TerrainError(f"variance has shape {variance.shape}, the heights {heights.shape}")
     if not wheel_radius > 0.0:
         raise TerrainError(f"wheel radius is {wheel_radius} m, must be positive")
-    radius = config.footprint_fraction * wheel_radius
+    radius = config.footprint_radius(wheel_radius)
     foot = footprint(radius, grid.cell, shape=config.shape)
     if min(heights.shape) < foot.shape[0]:
         raise TerrainError(f"map of {heights.shape} cells is smaller than a footprint of {foot.shape} cells")
@@ -124,34 +109,22 @@ def score_footfalls(
     filled = _fill(heights, known, foot)
 
     n = float(foot.sum())
-    unknown_share = 1.0 - _sum(known.astype(np.float64), foot, border=0.0) / n
-    mean = _sum(filled, foot) / n
-    highest, lowest = cv2.dilate(filled, foot), cv2.erode(filled, foot)
-    slope_x, slope_y = _slopes(filled, foot, grid.cell)
-    range_of_slope, gap_of_slope = _slope_parts(slope_x, slope_y, foot, grid.cell)
-    height_range, mean_gap = highest - lowest, highest - mean
-    steepness = np.hypot(slope_x, slope_y)
-
-    if config.method == "max_min":
-        cost = height_range
-    elif config.method == "plane_fit":
-        cost = _sum(filled * filled, foot) / n - mean * mean
-        cost = np.maximum(cost, 0.0)
-    else:
-        cost = mean_gap * n * grid.cell**2
+    refused = 1.0 - _count(known, foot, cv2.BORDER_CONSTANT) / n > config.max_unknown_fraction + 1e-9
+    under = underfoot(filled, foot, cell=grid.cell)
     # A wheel on a plane touches it beside its axle's foot: its axle stands higher by R (1 / cos - 1).
-    contact = mean + wheel_radius * (np.hypot(1.0, steepness) - 1.0)
+    contact = under.mean + wheel_radius * (np.hypot(1.0, under.steepness) - 1.0)
     intrusion = _flank_intrusion(filled, known, grid.cell, radius, wheel_radius, config.flank_clearance) - contact
-    trusted = np.where(known & np.isfinite(variance), variance, 0.0)
-    sigma2 = _sum(trusted, foot) / np.maximum(_sum(known.astype(np.float64), foot), 1.0)
+    trusted = known & np.isfinite(variance)
+    sigma2 = window_sum(np.where(trusted, variance, 0.0), foot) / np.maximum(_count(known, foot, cv2.BORDER_REPLICATE), 1.0)
+    # An unknown cell may be as wrong as the worst that is let pass.
+    supposed = np.where(trusted, variance, config.max_sigma**2)
 
-    refused = unknown_share > config.max_unknown_fraction + 1e-9
     veto = np.select(
         [
             refused,
             sigma2 > config.max_sigma**2,
-            steepness > np.tan(np.deg2rad(config.max_slope_deg)),
-            (height_range - range_of_slope > config.max_height_range) | (mean_gap - gap_of_slope > config.max_mean_gap),
+            under.steepness > np.tan(np.deg2rad(config.max_slope_deg)),
+            _is_rough(under, config),
             intrusion > config.flank_tolerance,
         ],
         [UNKNOWN, UNCERTAIN, STEEP, ROUGH, STEP_BESIDE],
@@ -160,29 +133,11 @@ def score_footfalls(
     return FootfallMap(
         grid=grid,
         method=config.method,
-        cost=np.where(refused, np.nan, cost),
+        cost=np.where(refused, np.nan, cost(under, config, variance=supposed, refused=refused)),
         veto=veto,
         contact_height=np.where(refused, np.nan, contact),
-        slope=np.where(refused, np.nan, np.arctan(steepness)),
+        slope=np.where(refused, np.nan, np.arctan(under.steepness)),
     )
-
-
-def footprint(radius: float, cell: float, *, shape: str = "disc") -> np.ndarray:
-    """Cells under a wheel centred on a cell, uint8, shape (2 k + 1, 2 k + 1): those with their centre within."""
-    k = int(np.floor(radius / cell + 1e-9))
-    x, y = np.meshgrid(np.arange(-k, k + 1), np.arange(-k, k + 1), indexing="ij")
-    inside = np.hypot(x, y) * cell <= radius + 1e-9 if shape == "disc" else np.ones_like(x, dtype=bool)
-    return np.asarray(inside.astype(np.uint8))
-
-
-def _sum(values: np.ndarray, foot: np.ndarray, *, border: float | None = None) -> np.ndarray:
-    """Sum over the footprint of each cell. Beyond the map: `border`, or the nearest cell's value."""
-    kernel = foot.astype(np.float64)
-    if border is None:
-        return np.asarray(cv2.filter2D(values, cv2.CV_64F, kernel, borderType=cv2.BORDER_REPLICATE))
-    k = foot.shape[0] // 2
-    padded = cv2.copyMakeBorder(values, k, k, k, k, cv2.BORDER_CONSTANT, value=border)
-    return np.asarray(cv2.filter2D(padded, cv2.CV_64F, kernel)[k:-k, k:-k] if k else values * kernel[0, 0])
 
 
 def _fill(heights: np.ndarray, known: np.ndarray, foot: np.ndarray) -> np.ndarray:
@@ -193,36 +148,47 @@ def _fill(heights: np.ndarray, known: np.ndarray, foot: np.ndarray) -> np.ndarra
     if known.all():
         return np.ascontiguousarray(heights)
     around = np.ones((max(foot.shape[0], 3),) * 2)
-    total = _sum(np.where(known, heights - level, 0.0), around, border=0.0)
-    count = _sum(known.astype(np.float64), around, border=0.0)
-    return np.ascontiguousarray(np.where(known, heights, level + total / np.maximum(np.rint(count), 1.0)))
+    total = window_sum(np.where(known, heights - level, 0.0), around, border=0.0)
+    count = np.maximum(_count(known, around, cv2.BORDER_CONSTANT), 1.0)
+    return np.ascontiguousarray(np.where(known, heights, level + total / count))
 
 
-def _slopes(filled: np.ndarray, foot: np.ndarray, cell: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gradient along x and y of the least-squares plane through each footprint."""
-    k = foot.shape[0] // 2
-    offset = cell * np.arange(-k, k + 1)[:, None] * foot
-    spread = float(np.sum(offset**2))
-    if spread == 0.0:
-        return np.zeros_like(filled), np.zeros_like(filled)
-    along_x = cv2.filter2D(filled, cv2.CV_64F, offset / spread, borderType=cv2.BORDER_REPLICATE)
-    along_y = cv2.filter2D(filled, cv2.CV_64F, offset.T / spread, borderType=cv2.BORDER_REPLICATE)
-    return along_x, along_y
+def _count(what: np.ndarray, foot: np.ndarray, border: int) -> np.ndarray:
+    """Number of true cells under each footprint; single precision holds it exactly, and is filtered faster."""
+    counted = cv2.filter2D(what.astype(np.float32), cv2.CV_32F, foot.astype(np.float32), borderType=border)
+    return np.asarray(np.rint(counted.astype(np.float64)))
 
 
-def _slope_parts(
-    slope_x: np.ndarray, slope_y: np.ndarray, foot: np.ndarray, cell: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Height range and mean gap that a plane of the given gradient has over the footprint's cells [m].
+def _is_rough(under: Underfoot, config: FootfallConfig) -> np.ndarray:
+    """Where height range or mean gap exceed what is allowed beyond those of a plane of the same slope.
 
     Only the footprint's outermost cells reach the extremes of a plane, and it is symmetric: the gap is half the range.
     """
-    k = foot.shape[0] // 2
-    half = np.zeros_like(slope_x)
-    for row in range(2 * k + 1):
-        reach = np.flatnonzero(foot[row]).max() - k
-        half = np.maximum(half, np.abs(slope_x) * (row - k) + np.abs(slope_y) * reach)
-    return 2.0 * cell * half, cell * half
+    k = under.foot.shape[0] // 2
+    reaches = [int(np.flatnonzero(under.foot[k + row]).max()) - k for row in range(k + 1)]
+    # A row farther out that is as wide reaches farther.
+    corners = np.array([(row, reach) for row, reach in enumerate(reaches) if reach not in reaches[row + 1 :]])
+    return np.asarray(
+        _rough(
+            under.highest, under.lowest, under.mean, under.slope_x, under.slope_y, corners, under.cell,
+            config.max_height_range, config.max_mean_gap,
+        )
+    )  # fmt: skip
+
+
+@numba.njit(cache=True)
+@no_type_check
+def _rough(highest, lowest, mean, slope_x, slope_y, corners, cell, max_range, max_gap):
+    nx, ny = highest.shape
+    rough = np.empty((nx, ny), dtype=np.bool_)
+    for i in range(nx):
+        for j in range(ny):
+            along, across, half = abs(slope_x[i, j]), abs(slope_y[i, j]), 0.0
+            for c in range(len(corners)):
+                half = max(half, along * corners[c, 0] + across * corners[c, 1])
+            too_far = highest[i, j] - lowest[i, j] - 2.0 * cell * half > max_range
+            rough[i, j] = too_far or highest[i, j] - mean[i, j] - cell * half > max_gap
+    return rough
 
 
 def _flank_intrusion(
@@ -245,5 +211,6 @@ def _flank_intrusion(
         d = max(0.0, cell * float(np.sqrt(ring)) - clearance)
         hull = wheel_radius - float(np.sqrt(max(0.0, wheel_radius**2 - d**2)))
         reached = cv2.dilate(ground, (steps == ring).astype(np.uint8), borderType=cv2.BORDER_CONSTANT, borderValue=-1e6)
-        np.maximum(highest, reached - hull, out=highest)
+        np.subtract(reached, hull, out=reached)
+        np.maximum(highest, reached, out=highest)
     return highest

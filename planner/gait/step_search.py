@@ -46,7 +46,7 @@ class SearchConfig:
     weight_terrain: float = 0.6
     """of the footfall cost over its typical value on walkable ground"""
     typical_terrain: float = 0.0015
-    """free volume under SDM-B's wheel on ground with 2 cm of roughness [m3]"""
+    """free volume under SDM-B's wheel on ground with 2 cm of roughness [m3]; a variant has that of its footfall method"""
     weight_future: float = 2.0
     """added where the leg could not carry the chassis one stride further from that footfall"""
     wheel_spacing: float = 0.20

@@ -9,6 +9,8 @@ from athlete_twin.assets import assets_root
 from athlete_twin.errors import ConfigError
 from athlete_twin.model.spec import load_spec
 from planner.config import CHOICES, planner_config
+from planner.footfall_scores import TYPICAL
+from planner.gait.step_search import SearchConfig
 
 SHIPPED = sorted(p.stem for p in (assets_root() / "variants").glob("*.toml"))
 
@@ -73,3 +75,23 @@ def test_constants_measured_on_a_robot_take_the_place_of_the_drawings():
 def test_a_tilt_to_leave_alone_must_be_a_small_angle():
     with pytest.raises(ConfigError, match=r"level_deck_deg = 90 is not a number from 0 to 20"):
         planner_config(content("integrated") | {"level_deck_deg": 90}, load_spec("sdm_b"), name="x")
+
+
+@pytest.mark.parametrize("method", CHOICES["footfall"])
+def test_every_footfall_method_can_be_chosen_and_weighs_about_the_same(method):
+    config = planner_config(content("integrated") | {"footfall": method}, load_spec("sdm_b"), name="x")
+    assert config.footfall.method == method
+    assert config.step.search.typical_terrain == TYPICAL[method]
+    table = {"footfall": {"soil_n": 0.9, "footprint_diameter": 0.3}, "search": {"typical_terrain": 0.5}}
+    own = planner_config(content("integrated") | {"footfall": method, "settings": table}, load_spec("sdm_b"), name="x")
+    assert (own.footfall.soil_n, own.footfall.footprint_diameter, own.step.search.typical_terrain) == (0.9, 0.3, 0.5)
+
+
+def test_the_shipped_variants_weigh_footfalls_as_the_step_search_does_by_itself():
+    config = planner_config(content("integrated"), load_spec("sdm_b"), name="x")
+    assert config.step.search.typical_terrain == SearchConfig().typical_terrain
+
+
+def test_a_soil_that_bears_nothing_is_refused():
+    with pytest.raises(ConfigError, match=r"\[settings.footfall\] soil_k is 0.0, must be positive"):
+        planner_config(content("integrated") | {"settings": {"footfall": {"soil_k": 0.0}}}, load_spec("sdm_b"), name="x")
