@@ -58,11 +58,11 @@ class FusionConfig:
     """agreeing views beyond this many are not remembered: what moved is unlearned in as many views"""
     drift_sigma: float = 0.002
     """a cell's own standard deviation grows by this between two views, for what the pose estimate adds [m]"""
-    sigma_common: float = 0.002
+    sigma_common: float = 0.0025
     """of a fused cell's height, from what views have in common and averaging does not remove: the cameras' mountings, the
     world's zero [m]; with `sigma_sideways` fitted so that 90 % of the truth lies in the band, on walks of other seeds than
     those reported"""
-    sigma_sideways: float = 0.010
+    sigma_sideways: float = 0.012
     """of a fused cell's place, from the same causes; counts times the slope [m]"""
     passed_below: float = 0.05
     """a ray that passes so far below a cell's height speaks against it [m]; 0 takes no such evidence"""
