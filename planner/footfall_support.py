@@ -11,6 +11,9 @@ several cells at a time.
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache
 from typing import no_type_check
 
@@ -21,6 +24,8 @@ from athlete_twin.geometry.arrays import Cells
 
 BLOCK = 64
 """cells of a row that go through the network together: with all values of a footprint they fit the nearest cache"""
+MOST_THREADS = 4
+"""that fill one map: more than the machine has cores are of no use, and a map is small"""
 STEPS = 4096
 """of a table of powers between no depth and the whole: a power for each cell under each foot would take most of the time"""
 
@@ -41,7 +46,9 @@ def level(heights: Cells, foot: np.ndarray, bearing: int) -> Cells:
     k = foot.shape[0] // 2
     du, dv = np.nonzero(foot)
     network = _selection(len(du), len(du) - bearing)
-    return np.asarray(_select(np.pad(heights, k, mode="edge"), du, dv, network, len(du) - bearing, heights.shape))
+    padded, out = np.pad(heights, k, mode="edge"), np.empty(heights.shape)
+    _by_rows(lambda first, last: _select(padded, du, dv, network, len(du) - bearing, first, last, out), len(out))
+    return out
 
 
 def energy(highest: Cells, depth: Cells, heights: Cells, foot: np.ndarray, *, cell: float, k: float, n: float) -> Cells:
@@ -59,8 +66,17 @@ def energy(highest: Cells, depth: Cells, heights: Cells, foot: np.ndarray, *, ce
     half = foot.shape[0] // 2
     du, dv = np.nonzero(foot)
     powers = (np.arange(STEPS + 2) / STEPS) ** (n + 1.0)
-    spent = _work(np.pad(heights, half, mode="edge"), du, dv, highest, depth, powers)
+    padded, spent = np.pad(heights, half, mode="edge"), np.zeros(depth.shape)
+    _by_rows(lambda first, last: _work(padded, du, dv, highest, depth, powers, first, last, spent), len(spent))
     return np.asarray(k * cell**2 / (n + 1.0) * spent * np.maximum(depth, 0.0) ** (n + 1.0))
+
+
+def _by_rows(fill: Callable[[int, int], None], rows: int) -> None:
+    """Fill rows of a map in as many threads as there are cores, each its own: the bytes do not depend on how many."""
+    threads = min(len(os.sched_getaffinity(0)), MOST_THREADS)
+    bounds = np.linspace(0, rows, threads + 1).astype(int)
+    with ThreadPoolExecutor(threads) as pool:
+        list(pool.map(fill, bounds[:-1], bounds[1:]))
 
 
 @lru_cache(maxsize=32)
@@ -85,14 +101,13 @@ def _selection(size: int, rank: int) -> np.ndarray:
     return np.array(kept[::-1], dtype=np.int64).reshape(-1, 2)
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 @no_type_check
-def _select(padded, du, dv, network, rank, shape):
-    nx, ny = shape
+def _select(padded, du, dv, network, rank, first_row, last_row, out):
+    ny = out.shape[1]
     size = len(du)
-    out = np.empty((nx, ny))
     lanes = np.empty((size, BLOCK))
-    for i in range(nx):
+    for i in range(first_row, last_row):
         for start in range(0, ny, BLOCK):
             count = min(BLOCK, ny - start)
             for c in range(size):
@@ -105,16 +120,14 @@ def _select(padded, du, dv, network, rank, shape):
                     low[j] = min(a, b)
                     high[j] = max(a, b)
             out[i, start : start + count] = lanes[rank, :count]
-    return out
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, nogil=True)
 @no_type_check
-def _work(padded, du, dv, highest, depth, powers):
-    nx, ny = depth.shape
+def _work(padded, du, dv, highest, depth, powers, first_row, last_row, out):
+    ny = depth.shape[1]
     steps = float(len(powers) - 2)
-    out = np.zeros((nx, ny))
-    for i in range(nx):
+    for i in range(first_row, last_row):
         scale = steps / np.maximum(depth[i], 1e-12)
         for c in range(len(du)):
             under = padded[i + du[c], dv[c] : dv[c] + ny]
@@ -122,4 +135,3 @@ def _work(padded, du, dv, highest, depth, powers):
                 at = min(max((highest[i, j] - under[j]) * scale[j], 0.0), steps)
                 below = np.uint32(at)
                 out[i, j] += 1.0 - powers[below] - (at - below) * (powers[below + 1] - powers[below])
-    return out
