@@ -103,7 +103,7 @@ def test_picture_is_drawn(script, figures, individual, tmp_path):
     [
         (["--robots", "sdm_x"], "sdm_x"),
         (["--individuals", "0"], "--individuals and --stances must be at least 1"),
-        (["--parts", "ears"], "part 'ears' is not one of sag, speed"),
+        (["--parts", "ears"], "part 'ears' is not one of sag, pose, speed"),
     ],
 )
 def test_bad_usage_is_one_line_and_exit_status_2(bench, capsys, arguments, message):
