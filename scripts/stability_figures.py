@@ -9,12 +9,20 @@ from bench_table import Row, row
 from stability_oracle import reaches
 from stability_scene import SIZES, StabilityScene, stability_scene
 
+from athlete_twin.model.kinematics import GRAVITY
+from athlete_twin.model.load_bearing import load_bearing
+from athlete_twin.model.load_family import least_torque_loads
 from athlete_twin.model.spec import LEGS
+from athlete_twin.model.statics import peak_torque_fraction
 from planner.stability.ground_map import LAST_LINK, UNKNOWN, UNREACHABLE, GroundMap, ground_maps
 
 QUICK, WHOLE, FALSE, MISSED = "<= 1.0", "<= 3.0", "<= 0.005", "<= 0.03"
 """targets: seconds without and with collisions, shares of cells"""
 RUNS = 3
+AREA_CELL = 0.05
+"""of the load-bearing workspace's area [m]"""
+FRICTION = 0.5
+"""between wheel and ground, as robot facts 11 gives it for sand on a hard base"""
 PEER_NAME = "brute force, all cells at its mean time a cell"
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -45,7 +53,30 @@ def _rows(robot: str, cells: int, seed: int) -> list[Row]:
         row(f"{robot}: cells called reachable that brute force does not reach", _share(ours & ~oracle, ours), "share", target=FALSE),
         row(f"{robot}: cells that brute force reaches and are called out of reach", _share(oracle & ~ours, oracle), "share", target=MISSED),
         *(row(f"{robot}: share of cells, {reason}", value, "share") for reason, value in share.items()),
+        *_load_rows(robot, scene),
     ]
+
+
+def _load_rows(robot: str, scene: StabilityScene) -> list[Row]:
+    """Where a leg can carry beside where it can reach, on level ground; and what the null space of forces is worth."""
+    kin, spec = scene.kinematics, scene.kinematics.spec
+    side = np.arange(-_farthest(scene), _farthest(scene), AREA_CELL)
+    flat = np.stack([*np.meshgrid(side, side, indexing="ij"), np.full((len(side),) * 2, spec.wheel.radius - spec.chassis_height)], -1)
+    load = spec.mass * GRAVITY / 3.0
+    able = load_bearing(spec, 0, flat.reshape(-1, 3) + spec.hips_in_hex[0], load=load)
+    standing = np.arange(LEGS) != 0
+    rigid = peak_torque_fraction(kin, scene.joints, supporting=standing)
+    best = least_torque_loads(kin, scene.joints, supporting=standing, friction=FRICTION)
+    return [
+        row(
+            f"{robot}: ground on which a leg can carry a third of the weight, level stance", AREA_CELL**2 * able.carries.sum(), "m2",
+            peer_name="can reach", peer=float(AREA_CELL**2 * able.reaches.sum()),
+        ),
+        row(
+            f"{robot}: peak joint torque with leg 1 up, best forces at friction {FRICTION}", best.peak_torque_fraction, "of the limit",
+            peer_name="zero interaction", peer=rigid,
+        ),
+    ]  # fmt: skip
 
 
 def _seconds(scene: StabilityScene, *, collision: bool) -> tuple[float, tuple[GroundMap, ...]]:

@@ -37,11 +37,16 @@ def wheel_loads(
     if not size > 0.0:
         raise SupportError(f"gravity direction {gravity_direction} has no length")
     up = -np.asarray(gravity_direction, dtype=float) / size
-    balance = np.concatenate([np.concatenate([np.eye(3), _cross_matrix(p - com)]) for p in contacts], axis=1)
-    forces, _, rank, _ = np.linalg.lstsq(balance, np.concatenate([up, np.zeros(3)]), rcond=1e-9)
+    wanted = np.concatenate([up, np.zeros(3)])
+    forces, _, rank, _ = np.linalg.lstsq(balance_matrix(contacts, com), wanted, rcond=1e-9)
     if rank < 6:
         raise SupportError(f"{len(contacts)} wheels on one line balance no moment; move one of them sideways")
     return np.asarray(weight * forces.reshape(-1, 3))
+
+
+def balance_matrix(contacts: Points3, com: Vec3) -> np.ndarray:
+    """Sum of forces and of moments about the centre of mass, by the forces on m wheels, shape (6, 3 m)."""
+    return np.concatenate([np.concatenate([np.eye(3), _cross_matrix(p - com)]) for p in contacts], axis=1)
 
 
 def stance_loads(

@@ -9,6 +9,7 @@ from athlete_twin.errors import SupportError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_torques import leg_torques
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.model.statics import stance_loads, torque_fractions, wheel_loads
@@ -28,7 +29,7 @@ from planner.stability.ground_map import (
     ground_maps,
 )
 from planner.stability.stability_map import StabilityConfig, stability_map
-from planner.stability.stance_torque import leg_torques, peak_torques, zero_interaction
+from planner.stability.stance_torque import peak_torques, zero_interaction
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -104,6 +104,27 @@ def test_tip_over_energy_on_rough_ground_equals_turning_the_robot_over_each_edge
         assert tip_over_energy(com, wheels) == pytest.approx(least, rel=1e-3)
 
 
+@pytest.mark.parametrize("slope_deg", [0.0, 7.0, 14.0])
+@pytest.mark.parametrize("azimuth_deg", [0.0, 20.0, 90.0])
+def test_tip_over_energy_on_a_slope_is_gravitys_work_integrated(slope_deg, azimuth_deg):
+    """The robot turned about each edge in small steps until gravity helps, the moment summed up: no circle, no closed form."""
+    turn = Rotation.from_euler("zx", [azimuth_deg, slope_deg], degrees=True).as_matrix()
+    wheels, com = HEXAGON @ turn.T, turn @ (COM + [0.1, -0.15, 0.0])
+    least = np.inf
+    for i in range(6):
+        start, edge = wheels[i], wheels[(i + 1) % 6] - wheels[i]
+        edge /= np.linalg.norm(edge)
+        arm, work, step = com - start, 0.0, 1e-4
+        outward = Rotation.from_rotvec(step * edge).as_matrix()
+        while True:
+            resisting = float(np.cross(arm, [0.0, 0.0, 1.0]) @ edge)  # rise by angle: the moment over the weight
+            if resisting <= 0.0:
+                break
+            work, arm = work + resisting * step, outward @ arm
+        least = min(least, work)
+    assert tip_over_energy(com, wheels) == pytest.approx(least, rel=0.01)
+
+
 def test_tip_over_energy_falls_downhill_and_vanishes_above_an_edge():
     edge = HEXAGON.copy()
     level = tip_over_energy(COM, edge)
