@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from athlete_twin.errors import SupportError
+from athlete_twin.errors import KinematicsError, SupportError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -186,6 +186,12 @@ def test_peak_torque_is_that_of_both_stances(robot, tilt):
         assert peak == pytest.approx(max(each), rel=1e-5)
 
 
+def test_five_wheels_on_one_line_are_refused_by_name(stand, monkeypatch):
+    monkeypatch.setattr(stand.kin, "wheels_in_hex", lambda joints: np.outer(np.arange(6.0), [1.0, 0.0, 0.0]))
+    with pytest.raises(SupportError, match="5 wheels on one line"):
+        peak_torques(stand.kin, stand.joints, 0, stand.joints[:1], places=np.array([[0.0, 3.0, 0.0]]), world_from_hex=stand.pose)
+
+
 def test_wrong_use_is_refused(stand):
     with pytest.raises(SupportError, match="leg index 6"):
         stand.map(6)
@@ -195,6 +201,10 @@ def test_wrong_use_is_refused(stand):
         stand.config(max_torque_fraction=0.0)
     with pytest.raises(SupportError, match="between 0 and 90"):
         stand.config(tilts_deg=(95.0,))
+    with pytest.raises(KinematicsError, match=r"payload is -1\.0 kg"):
+        ground_map(
+            stand.kin, stand.joints, 0, terrain=stand.grid, world_from_hex=stand.pose, config=stand.config(), payload_kg=-1.0
+        )
     other = Stand(stand.spec.name, cell=0.5)
     with pytest.raises(SupportError, match="footfall scores have shape"):
         stand.map(0, footfalls=other.footfalls)

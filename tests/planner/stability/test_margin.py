@@ -181,3 +181,20 @@ def test_fewer_than_three_wheels_and_unknown_margins_are_refused():
         support_margin(COM, HEXAGON[:2])
     with pytest.raises(SupportError, match="cps, support, energy"):
         stability_rule(COM, HEXAGON, supporting=ALL, min_margin=0.3, all_down_margin="best")
+
+
+@pytest.mark.parametrize("measure", [support_margin, cps_margin, tip_over_energy, cps_tip_over_energy])
+def test_what_is_not_a_number_has_no_margin(measure):
+    wheels = HEXAGON.copy()
+    wheels[4, 1] = np.nan
+    with pytest.raises(SupportError, match="1 values of wheels are not"):
+        measure(COM, wheels)
+    with pytest.raises(SupportError, match=r"centre of mass \[ ?nan"):
+        measure(np.array([np.nan, 0.0, 1.0]), HEXAGON)
+
+
+@pytest.mark.parametrize("wheels", [np.zeros((4, 3)), np.outer(np.arange(4.0), [1.0, 0.0, 0.0])], ids=["one place", "one line"])
+def test_wheels_that_span_nothing_have_no_energy_to_tip(wheels):
+    for com in (COM, COM + [0.3, -0.2, 0.0]):
+        assert tip_over_energy(com, wheels) <= 0.0
+        assert cps_tip_over_energy(com, wheels) <= 0.0
