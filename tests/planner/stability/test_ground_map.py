@@ -108,6 +108,25 @@ def test_a_cell_only_a_leaning_last_link_reaches_is_told_from_one_out_of_reach(s
     assert distance[rim & flat].max() > distance[reached & flat].max()
 
 
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_on_a_tilted_chassis_no_green_cells_last_link_leans_more_than_is_allowed(robot):
+    stand = Stand(robot, tilt=np.deg2rad(14.0))
+    spec = stand.spec
+    last = np.asarray(spec.wheel.offset) / np.linalg.norm(spec.wheel.offset)
+
+    def leans(found):
+        cells = np.argwhere(np.isfinite(found.joints[..., 0]))[::11]
+        turned = [stand.pose.rotate(stand.kin.leg_wheel(1, found.joints[ix, iy]).rotation @ last) for ix, iy in cells]
+        return np.rad2deg(np.arccos(np.clip(-np.array(turned)[:, 2], -1.0, 1.0)))
+
+    open_to_all, kept = stand.map(1, collision=None, max_lean_deg=90.0), stand.map(1, collision=None)
+    assert leans(open_to_all).max() > 12.0
+    assert leans(kept).max() <= 10.0 + 1e-6
+    refused = open_to_all.ok & ~kept.ok
+    assert refused.any() and (kept.reason[refused] == LAST_LINK).all()
+    assert not (kept.ok & ~open_to_all.ok).any()
+
+
 def test_collisions_are_coals(stand):
     found = stand.map(0)
     filled = HeightGrid(
@@ -199,6 +218,8 @@ def test_wrong_use_is_refused(stand):
         stand.config(lift=-0.1)
     with pytest.raises(SupportError, match=r"max_torque_fraction is 0\.0"):
         stand.config(max_torque_fraction=0.0)
+    with pytest.raises(SupportError, match=r"max_lean_deg is 0\.0 deg"):
+        stand.config(max_lean_deg=0.0)
     with pytest.raises(SupportError, match="between 0 and 90"):
         stand.config(tilts_deg=(95.0,))
     with pytest.raises(KinematicsError, match=r"payload is -1\.0 kg"):
