@@ -15,9 +15,9 @@ from sag_yard import Reading, SagYard
 from athlete_twin.athlete import TruthState
 from athlete_twin.model.spec import LEGS
 from planner.sag.compensate import METHODS, SagConfig, predict_sag
-from planner.sag.docked import Piece, solve_docked
+from planner.sag.docked import Piece, lift_off
 from planner.sag.identify_docks import DockFit
-from planner.sag.sag_model import AIRBORNE, FootSprings
+from planner.sag.sag_model import FootSprings
 
 SLOW = 0.1
 """of the usual speed: about 1 cm/s, at which springs and dampers keep up"""
@@ -107,16 +107,12 @@ def score_docked_lift(
     curve: LiftCurve, standing: Reading, lifted: Reading, pieces: tuple[Piece, ...], *, fit: DockFit, lateral_ratio: float
 ) -> LiftScore:
     """The same of springs under the feet and in the docks; `pieces` hang on the docks with the leg in the air."""
-    stance, leg = standing.stance, curve.leg
-    lifts = stance.lifts.copy()
-    lifts[leg] = AIRBORNE
-    sag = solve_docked(
-        stance.feet_in_hex, lifted.stance.com_in_hex, stance.weight, pieces=pieces, twist_stiffness=fit.twist_stiffness,
-        stiffness_z=np.full(LEGS, fit.stiffness), lateral_ratio=lateral_ratio, lifts=lifts, gravity_in_hex=stance.gravity_in_hex,
+    stance = standing.stance
+    contact = lift_off(
+        stance.feet_in_hex, lifted.stance.com_in_hex, stance.weight, curve.leg, pieces=pieces,
+        twist_stiffness=fit.twist_stiffness, lifts=stance.lifts, gravity_in_hex=stance.gravity_in_hex,
+        springs=FootSprings(stiffness_z=np.full(LEGS, fit.stiffness), lateral_ratio=lateral_ratio),
     )  # fmt: skip
-    up = -stance.gravity_in_hex / np.linalg.norm(stance.gravity_in_hex)
-    place = stance.feet_in_hex[leg : leg + 1]
-    contact = -float(up @ (sag.place(place, np.array([leg])) - place)[0]) - float(stance.lifts[leg])
     return _score("springs and docks", curve, contact=contact, commanded=contact + WANTED)
 
 

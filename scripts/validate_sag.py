@@ -1,7 +1,8 @@
 """The planner's contact-spring model held against the true robot's corner heights, as [SunSpiral2012] s5.1.2-5.1.3 did.
 
-The springs stand in the commanded, unsagged robot; one constant for all feet is searched over the measured stances, up
-to the tyre's own. Corners are the points where the legs are attached; of T12 these lie on decks that flex in truth.
+The springs stand in the commanded, unsagged robot; one constant for all feet is searched over the measured stances, up to the
+tyre's own under the heaviest of them. Corners are the points where the legs are attached; of T12 these lie on decks that flex in
+truth.
 """
 
 from __future__ import annotations
@@ -17,6 +18,9 @@ from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import stance_wheels_in_hex
 from planner.sag.identify import MeasuredStance, identify_stiffness, predict_heights
+
+STIFFENED = 1.25
+"""by how much a tyre is stiffer under a lifted leg's share than on six wheels, at most: there the drawings' constant is from"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,7 +48,7 @@ def best_fit(robot: str, rests: Sequence[Rest]) -> SagFit:
     spec = load_spec(robot)
     fit = identify_stiffness(
         [_stance(robot, rest) for rest in rests],
-        upper=spec.believed_tyre_stiffness,
+        upper=STIFFENED * spec.believed_tyre_stiffness,
         lower=0.25 * spec.believed_foot_stiffness,
         lateral_ratio=spec.believed_lateral_ratio,
     )

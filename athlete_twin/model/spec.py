@@ -137,6 +137,8 @@ class RobotSpec:
     """vertical spring a foot, [SunSpiral2012] eq. 3 [N/m]"""
     believed_tyre_stiffness: float
     """vertical spring of the tyre alone [N/m]"""
+    believed_dock_twist: float | None
+    """of each of the docks, None without docks [N m/rad]"""
     believed_lateral_ratio: float
     """horizontal over vertical stiffness"""
     cameras: tuple[StereoCamera, ...]
@@ -231,6 +233,7 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         believed_foot_stiffness=figure(belief["foot_stiffness_z"]),
         believed_tyre_stiffness=figure(belief["tyre_stiffness_z"]),
         believed_lateral_ratio=figure(belief["lateral_ratio"]),
+        believed_dock_twist=figure(belief["dock_twist"]) if "dock_twist" in belief else None,
         cameras=tuple(c for group in content["camera"] for c in _cameras(group)),
     )
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import ConfigError
-from athlete_twin.geometry.arrays import Points2, Points3, Vec2, Vec3
+from athlete_twin.geometry.arrays import Points2, Points3, Vec2, Vec3, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -27,7 +27,8 @@ from planner.gait.skeleton import GaitConfig, nominal_footfall, stride
 from planner.gait.step_plan import StepPlan
 from planner.motion.collision import CollisionConfig, LegCollision
 from planner.motion.swing import SwingConfig, SwingPath, plan_swing
-from planner.sag.compensate import SagConfig, SagPrediction, predict_sag
+from planner.sag.compensate import SagConfig, SagPrediction, lift_to_break_contact, predict_sag
+from planner.sag.docked import docked_pieces, lift_off
 from planner.sag.sag_model import AIRBORNE, FootSprings, solve_sag
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import REASONS, StabilityConfig, stability_map
@@ -216,8 +217,9 @@ def _predict(
     kin: Kinematics, springs: FootSprings, belief: Belief, leg: int, request: StepRequest, config: StepConfig, payload: float
 ) -> SagPrediction:
     com = kin.com_in_hex(belief.joints, payload)
+    feet = kin.wheels_in_hex(belief.motors)
     return predict_sag(
-        kin.wheels_in_hex(belief.motors),
+        feet,
         leg,
         com_planted=com,
         com_airborne=com,
@@ -226,7 +228,24 @@ def _predict(
         springs=springs,
         config=config.sag,
         gravity_in_hex=belief.gravity_in_hex(),
+        dock_drop=_dock_drop(kin, springs, belief, leg, feet, com, payload) if config.sag.docks else 0.0,
     )
+
+
+def _dock_drop(
+    kin: Kinematics, springs: FootSprings, belief: Belief, leg: int, feet: Wheels, com: Vec3, payload: float
+) -> float:
+    """By which a lifted leg's corner sinks more than a rigid chassis would let it; 0 without docks [m]."""
+    spec, gravity = kin.spec, belief.gravity_in_hex()
+    if not spec.decks or spec.believed_dock_twist is None:
+        return 0.0
+    weight = (spec.mass + payload) * GRAVITY
+    twisting = lift_off(
+        feet, com, weight, leg, pieces=docked_pieces(kin, belief.joints), twist_stiffness=spec.believed_dock_twist,
+        springs=springs, gravity_in_hex=gravity,
+    )  # fmt: skip
+    rigid = lift_to_break_contact(feet, com, weight, leg=leg, springs=springs, gravity_in_hex=gravity).lift
+    return max(twisting - rigid, 0.0) if np.isfinite(twisting - rigid) else 0.0
 
 
 def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction) -> float:

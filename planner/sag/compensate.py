@@ -34,6 +34,8 @@ class SagConfig:
     """"none", "raise_terrain" or "springs" """
     terrain_raise: float = TERRAIN_RAISE
     """by how much "raise_terrain" lifts the map and the commanded lift [m]"""
+    docks: bool = True
+    """whether "springs" knows that a deck twists on its dock, so that the leg's own corner drops more; of a robot with docks"""
     stiffness_z: tuple[float, ...] | None = None
     """constant of each foot as it was measured on this robot (`identify_per_wheel`), six [N/m]; the drawings' when None"""
 
@@ -149,6 +151,7 @@ def predict_sag(
     config: SagConfig,
     lifts: PerLeg | None = None,
     gravity_in_hex: Vec3 = DOWN,
+    dock_drop: float = 0.0,
 ) -> SagPrediction:
     """What unloading one leg of a six-wheel stance does, and what to command for a true clearance.
 
@@ -163,9 +166,12 @@ def predict_sag(
         config: the method.
         lifts: heights of all feet over their contact points in this stance, shape (6,) [m]; zero by default.
         gravity_in_hex: where gravity points.
+        dock_drop: by which the leg's own corner sinks more than a rigid chassis, its dock twisting; only "springs" knows [m].
     """
     if not 0 <= leg < 6:
         raise SagError(f"leg index {leg} is outside 0 to 5")
+    if not (np.isfinite(dock_drop) and dock_drop >= 0.0):
+        raise SagError(f"dock_drop is {dock_drop} m, must be 0 or more")
     if not (np.isfinite(clearance) and clearance >= 0.0):
         raise SagError(f"clearance is {clearance} m, must not be negative")
     if config.method != "springs":
@@ -195,9 +201,9 @@ def predict_sag(
         method=config.method,
         leg=leg,
         status=standing.status if not standing.converged else swinging.status,
-        lift_to_break=off.lift,
-        commanded_lift=off.lift + clearance / along,
-        reload=max(0.0, off.lift),
+        lift_to_break=off.lift + dock_drop,
+        commanded_lift=off.lift + dock_drop + clearance / along,
+        reload=max(0.0, off.lift + dock_drop),
         terrain_raise=0.0,
         unsagged_from_standing=standing.unsagged_from_sagged,
         unsagged_from_swinging=swinging.unsagged_from_sagged,

@@ -22,7 +22,7 @@ from athlete_twin.geometry.arrays import Joints, PerLeg, Points3, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS
-from planner.sag.sag_model import DOWN, SOFT_CONTACT, FootSprings, solve_sag
+from planner.sag.sag_model import AIRBORNE, DOWN, SOFT_CONTACT, FootSprings, solve_sag
 from planner.stability.stability_map import leg_coms_in_hex
 
 TWIST = np.array([0.0, 1.0, 0.0])
@@ -155,6 +155,39 @@ def solve_docked(
         forces=_foot_forces(moved, springs, lifts, -down),
         converged=bool(rigid.converged and np.abs(found.fun).max() < BALANCED),
     )  # fmt: skip
+
+
+def lift_off(
+    feet_in_hex: Wheels,
+    com_in_hex: Vec3,
+    weight: float,
+    leg: int,
+    *,
+    pieces: tuple[Piece, ...],
+    twist_stiffness: float,
+    springs: FootSprings,
+    lifts: PerLeg | None = None,
+    gravity_in_hex: Vec3 = DOWN,
+) -> float:
+    """Commanded height of one wheel over its planted place at which contact breaks [m]; NaN where nothing holds.
+
+    As `compensate.lift_to_break_contact`, its own deck sinking with the leg; other arguments as of `solve_docked`. `lifts`
+    is zero by default; the leg's own is what its planted place has.
+    """
+    if not 0 <= leg < LEGS:
+        raise SagError(f"leg index {leg} is outside 0 to 5")
+    planted = np.zeros(LEGS) if lifts is None else np.asarray(lifts, dtype=float)
+    without = planted.copy()
+    without[leg] = AIRBORNE
+    sag = solve_docked(
+        feet_in_hex, com_in_hex, weight, pieces=pieces, twist_stiffness=twist_stiffness, stiffness_z=springs.stiffness_z,
+        lateral_ratio=springs.lateral_ratio, lifts=without, gravity_in_hex=gravity_in_hex,
+    )  # fmt: skip
+    if not sag.converged:
+        return float("nan")
+    up = -np.asarray(gravity_in_hex, dtype=float) / np.linalg.norm(gravity_in_hex)
+    place = feet_in_hex[leg : leg + 1]
+    return -float(up @ (sag.place(place, np.array([leg])) - place)[0]) - float(planted[leg])
 
 
 def _placed(points: np.ndarray, legs: np.ndarray, pose: SE3, pieces: tuple[Piece, ...], twists: np.ndarray) -> np.ndarray:

@@ -7,10 +7,11 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
-from planner.sag.docked import docked_pieces, solve_docked
+from planner.sag.compensate import SagConfig, lift_to_break_contact, predict_sag
+from planner.sag.docked import docked_pieces, lift_off, solve_docked
 from planner.sag.identify import MeasuredStance
 from planner.sag.identify_docks import identify_docks, predict_docked_heights
-from planner.sag.sag_model import AIRBORNE, solve_sag
+from planner.sag.sag_model import AIRBORNE, FootSprings, solve_sag
 
 SPEC = load_spec("t12")
 KIN = kinematics("t12")
@@ -89,6 +90,34 @@ def test_a_pallet_corners_leg_drops_its_corner_more_than_a_rigid_deck_can():
         drop[leg] = (rigid.unsagged_from_sagged.apply(CORNERS) - docked.place(CORNERS, LEGS))[leg, 2]
     assert drop[2] > 0.01
     assert abs(drop[1]) < 0.2 * drop[2]
+
+
+@pytest.mark.parametrize("leg", [0, 1, 2])
+def test_lift_off_is_where_the_gradual_model_lets_the_foot_go(leg):
+    """Raised by a little less the foot still bears, by a little more it does not."""
+    springs = FootSprings(stiffness_z=K, lateral_ratio=RATIO)
+    found = lift_off(FEET, COM, WEIGHT, leg, pieces=PIECES, twist_stiffness=TWIST, springs=springs)
+    rigid = lift_to_break_contact(FEET, COM, WEIGHT, leg=leg, springs=springs).lift
+    assert found > rigid + (0.02 if leg != 1 else -0.002)
+    for more, bears in ((-0.004, True), (0.004, False)):
+        feet, lifts = FEET.copy(), np.zeros(6)
+        feet[leg, 2] += found + more
+        lifts[leg] = found + more
+        sag = solve_docked(
+            feet, COM, WEIGHT, pieces=PIECES, twist_stiffness=TWIST, stiffness_z=K, lateral_ratio=RATIO, lifts=lifts
+        )
+        assert sag.converged and (sag.forces[leg, 2] > 0.0) == bears
+
+
+def test_a_docks_drop_is_added_to_lift_and_reload():
+    arguments = dict(com_planted=COM, com_airborne=COM, weight=WEIGHT, clearance=0.1, config=SagConfig())
+    springs = FootSprings(stiffness_z=K, lateral_ratio=RATIO)
+    rigid = predict_sag(FEET, 2, springs=springs, **arguments)
+    docked = predict_sag(FEET, 2, springs=springs, dock_drop=0.04, **arguments)
+    for name in ("lift_to_break", "commanded_lift", "reload"):
+        assert getattr(docked, name) == pytest.approx(getattr(rigid, name) + 0.04)
+    with pytest.raises(SagError, match=r"dock_drop is -0\.1 m"):
+        predict_sag(FEET, 2, springs=springs, dock_drop=-0.1, **arguments)
 
 
 def _measured(legs, stiffness, twist, noise=0.0, seed=0):
