@@ -130,7 +130,7 @@ def _levelled_loads(robot, motors, leg, offsets, *, springs):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize(("max_offset", "seed"), [(0.006, 3), (0.05, 3), (0.006, 5), (0.05, 5)])
+@pytest.mark.parametrize(("max_offset", "seed"), [(0.003, 3), (0.05, 3), (0.003, 5), (0.05, 5)])
 def test_brute_force_over_offsets_spreads_nothing_better(robot, max_offset, seed):
     kin = kinematics(robot)
     springs, motors, leg = _uneven(robot, seed), regular_stance(kin.spec), 0
@@ -239,7 +239,7 @@ def test_it_undoes_the_sink_and_tilt_that_the_compensation_foresees(robot):
 
 def test_a_leg_out_of_reach_is_named():
     kin = kinematics("sdm_b")
-    high = regular_stance(kin.spec, chassis_height=kin.spec.chassis_height + 0.25)
+    high = regular_stance(kin.spec, chassis_height=kin.spec.chassis_height + 0.28)
     answer = _optimise("sdm_b", 0, motors=high)
     assert isinstance(answer, NoPose)
     assert answer.reason.startswith("reach of leg ")
@@ -261,7 +261,7 @@ def test_every_bound_is_named_with_its_value():
         answer = _optimise("sdm_b", 0, config=config)
         assert isinstance(answer, NoPose)
         assert re.search(says, answer.reason), answer.reason
-    uneven = _optimise("sdm_b", 0, springs=_uneven("sdm_b"), config=PoseConfig(max_shift=0.0, max_offset=0.005))
+    uneven = _optimise("sdm_b", 0, springs=_uneven("sdm_b"), config=PoseConfig(max_shift=0.0, max_offset=0.003))
     assert any(why.startswith("offset of leg") for why in uneven.limited_by)
 
 
