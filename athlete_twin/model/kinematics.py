@@ -75,6 +75,8 @@ class Kinematics:
 
     def com_in_hex(self, joints: Joints, payload_kg: float = 0.0) -> Vec3:
         """Centre of mass in hex [m]; a payload sits on the deck plane's centre."""
+        if not 0.0 <= payload_kg < np.inf:
+            raise KinematicsError(f"payload is {payload_kg} kg, must be 0 or more")
         legs = np.asarray(pin.centerOfMass(self.pin_model, self.pin_data, self.pin_q(joints)))
         # Pinocchio counts what moves; the chassis, which it holds fixed, is added here.
         chassis, moving = self.pin_model.inertias[0], float(self.pin_data.mass[0])

@@ -19,7 +19,7 @@ from athlete_twin.errors import SupportError
 from athlete_twin.geometry.arrays import Joints, PerLegFlag, Points3, Vec3, Wheels
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS
-from athlete_twin.model.statics import DOWN, balance_matrix, torque_fractions, wheel_loads
+from athlete_twin.model.statics import DOWN, balance_matrix, patches_in_hex, torque_fractions, wheel_loads
 
 SIDES = 12
 """of the pyramid inside the friction cone: it leaves out 3.4 % of the cone's width"""
@@ -87,7 +87,7 @@ def least_torque_loads(
     size = float(np.linalg.norm(gravity))
     standing = np.flatnonzero(supporting)
     spec = kinematics.spec
-    contacts = kinematics.wheels_in_hex(joints) + spec.wheel.radius * gravity / size
+    contacts = patches_in_hex(kinematics, joints, gravity)
     weight = (spec.mass + payload_kg) * size
     com = kinematics.com_in_hex(joints, payload_kg)
     wheel_loads(contacts[standing], com, weight=weight, gravity_direction=gravity)  # refuses what no forces balance

@@ -37,6 +37,9 @@ def wheel_loads(
     if not size > 0.0:
         raise SupportError(f"gravity direction {gravity_direction} has no length")
     up = -np.asarray(gravity_direction, dtype=float) / size
+    if not (np.isfinite(contacts).all() and np.isfinite(com).all()):
+        bad = int(np.sum(~np.isfinite(contacts)))
+        raise SupportError(f"contacts and centre of mass {com} must be finite, {bad} values of contacts are not")
     wanted = np.concatenate([up, np.zeros(3)])
     forces, _, rank, _ = np.linalg.lstsq(balance_matrix(contacts, com), wanted, rcond=1e-9)
     if rank < 6:
@@ -62,13 +65,20 @@ def stance_loads(
     The contact is taken a wheel's radius below the axle along gravity: the tyre's unloaded patch on level ground.
     """
     gravity = GRAVITY * DOWN if gravity_in_hex is None else np.asarray(gravity_in_hex, dtype=float)
-    wheel = kinematics.spec.wheel.radius
-    contacts = kinematics.wheels_in_hex(joints) + wheel * gravity / np.linalg.norm(gravity)
+    contacts = patches_in_hex(kinematics, joints, gravity)
     weight = (kinematics.spec.mass + payload_kg) * float(np.linalg.norm(gravity))
     com = kinematics.com_in_hex(joints, payload_kg)
     forces = np.zeros((6, 3))
     forces[supporting] = wheel_loads(contacts[supporting], com, weight=weight, gravity_direction=gravity)
     return forces, contacts
+
+
+def patches_in_hex(kinematics: Kinematics, joints: Joints, gravity_in_hex: Vec3) -> Wheels:
+    """Where the ground touches the wheels, a radius below the axles along gravity, shape (6, 3) [m]."""
+    size = float(np.linalg.norm(gravity_in_hex))
+    if not (np.isfinite(size) and size > 0.0):
+        raise SupportError(f"gravity {gravity_in_hex} m/s2 has no direction")
+    return np.asarray(kinematics.wheels_in_hex(joints) + kinematics.spec.wheel.radius * gravity_in_hex / size)
 
 
 def torque_fractions(

@@ -32,6 +32,7 @@ from planner.sag.docked import docked_pieces, lift_off
 from planner.sag.sag_model import AIRBORNE, FootSprings, solve_sag
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import REASONS, StabilityConfig, stability_map
+from planner.stability.stance_torque import peak_torques
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -56,12 +57,18 @@ class SearchConfig:
     """candidates for which a path is planned before the leg gives up"""
     max_torque_fraction: float = 0.95
     """believed, with the leg in the air"""
+    footfall_torque_fraction: float = np.inf
+    """of the static torques of all joints with the wheel on the footfall, and in the air there, by loads without interaction
+    ([SunSpiral2012] s7.1: reachable, stable, and beyond a joint's limit); by default no footfall is refused for it"""
     max_height_step: float = 0.45
     """a footfall higher or lower than this against the wheel's present contact is not tried [m]"""
 
     def __post_init__(self) -> None:
         if not (self.radius_fraction > 0.0 and self.typical_terrain > 0.0 and self.tried >= 1):
             raise ConfigError(f"step search needs a positive radius, terrain scale and number of tries, got {self}")
+        if not self.footfall_torque_fraction > 0.0:
+            given = self.footfall_torque_fraction
+            raise ConfigError(f"footfall_torque_fraction is {given}, must be positive; 1.0 is the joints' limit, inf refuses nothing")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -174,9 +181,17 @@ def search_step(
         payload_kg=payload_kg,
     )
     refused.update({REASONS[code]: int(n) for code, n in enumerate(np.bincount(judged.reason)) if code and n})
-    places = places[judged.ok]
+    places, landed = places[judged.ok], judged.joints[judged.ok]
     if len(places) == 0:
         return NoStep(reason=f"no stable, reachable footfall for leg {leg + 1}", refused=dict(refused))
+    if np.isfinite(config.search.footfall_torque_fraction):
+        carries = peak_torques(
+            kin, belief.joints, leg, landed, places=places, world_from_hex=swing_pose, payload_kg=payload_kg
+        ) <= config.search.footfall_torque_fraction
+        refused["footfall_torque"] += int(np.sum(~carries))
+        places = places[carries]
+        if len(places) == 0:
+            return NoStep(reason=f"leg {leg + 1} reaches no footfall that all joints can carry", refused=dict(refused))
     order = np.argsort(_cost(kin, belief, ground, request, config, places), kind="stable")
 
     start = _lifted(kin, belief, leg, sag, airborne=airborne)

@@ -5,6 +5,9 @@ within reach only with the last link farther from vertical than a leg that bears
 close to the robot or the ground; a support margin; a static joint torque; the ground itself, as the footfall scores
 veto it.
 
+The last link is placed as plumb as the leg's plane allows, rolls at zero, as the planner places it: plumb on a level chassis,
+on a tilted one leaning out of that plane by up to the tilt. Beyond `max_lean_deg` the cell is refused for it.
+
 Cost: inverse kinematics, margins and torques are vectorised over cells, some 10 us a cell that the leg reaches; the collision
 check places the leg cell by cell, 0.1-0.2 ms each, and may be left out.
 """
@@ -43,6 +46,9 @@ class GroundMapConfig:
     """height above the ground through which the step comes down [m]"""
     max_torque_fraction: float = 1.0
     """of the static joint torques, standing on all wheels with this one on the cell, and on the others before"""
+    max_lean_deg: float = 10.0
+    """of the last link from vertical while its wheel stands [deg]; "near vertical" has no figure in the paper, and this is the
+    least of `tilts_deg`, so that a lean counts the same out of the leg's plane as in it"""
     tilts_deg: tuple[float, ...] = (10.0, 20.0, 30.0)
     """of the last link in the leg's plane, in and out, that tell a cell out of reach from one that a plumb last link alone
     cannot reach [deg]"""
@@ -54,6 +60,8 @@ class GroundMapConfig:
             raise SupportError(f"lift is {self.lift} m, must be 0 or more")
         if not self.max_torque_fraction > 0.0:
             raise SupportError(f"max_torque_fraction is {self.max_torque_fraction}, must be positive; 1.0 is the joints' limit")
+        if not 0.0 < self.max_lean_deg <= 90.0:
+            raise SupportError(f"max_lean_deg is {self.max_lean_deg} deg, must be above 0 and at most 90; 90 refuses nothing")
         if not all(0.0 < tilt < 90.0 for tilt in self.tilts_deg):
             raise SupportError(f"tilts of the last link are {self.tilts_deg} deg, must lie between 0 and 90")
 
@@ -67,7 +75,7 @@ class GroundMap:
     reason: np.ndarray
     """code into `REASONS`, uint8, shape (nx, ny)"""
     joints: np.ndarray
-    """of the leg with its wheel on the cell, shape (nx, ny, dof), NaN where it does not reach [rad]"""
+    """of the leg with its wheel on the cell, shape (nx, ny, dof), NaN where it does not reach with the last link upright [rad]"""
 
     @property
     def ok(self) -> np.ndarray:
@@ -125,6 +133,10 @@ def ground_map(
     tilted = _reached_tilted(spec, leg, places[out], world_from_hex, config)
     reason[out[tilted]] = LAST_LINK
     reached = near[judged.reachable]
+    upright = _lean(spec, leg, q[reached], world_from_hex) <= np.deg2rad(config.max_lean_deg)
+    reason[reached[~upright]] = LAST_LINK
+    q[reached[~upright]] = np.nan
+    reached = reached[upright]
     if config.max_torque_fraction < np.inf and len(reached):
         peaks = peak_torques(
             kinematics, joints, leg, q[reached], places=places[reached], world_from_hex=world_from_hex, payload_kg=payload_kg
@@ -179,6 +191,13 @@ def _stability_reason(judged: StabilityMap) -> np.ndarray:
     code[[candidates.UNREACHABLE, candidates.UNREACHABLE_ABOVE]] = UNREACHABLE
     code[[candidates.SWING_MARGIN, candidates.LANDED_MARGIN]] = MARGIN
     return np.asarray(code[judged.reason])
+
+
+def _lean(spec: RobotSpec, leg: int, q: np.ndarray, world_from_hex: SE3) -> np.ndarray:
+    """Angle of the last link from vertical, as `leg_ik` places it: that between plumb and the leg's plane, shape (n,) [rad]."""
+    heading = spec.hip_azimuths[leg] + q[:, 0]
+    across = np.column_stack([-np.sin(heading), np.cos(heading), np.zeros(len(q))])
+    return np.asarray(np.arcsin(np.clip(np.abs(across @ world_from_hex.inverse().rotate(-UP)), 0.0, 1.0)))
 
 
 def _reached_tilted(

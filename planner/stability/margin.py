@@ -49,7 +49,7 @@ def support_margin(com_in_world: Vec3, wheels_in_world: Points3) -> float:
 
     Positive inside the support polygon, negative outside. Wheels on one line span no polygon: at most zero.
     """
-    _check_wheels(wheels_in_world)
+    _check(com_in_world, wheels_in_world)
     return signed_distance(com_in_world[:2], wheels_in_world[:, :2])
 
 
@@ -58,29 +58,30 @@ def cps_margin(com_in_world: Vec3, wheels_in_world: Points3) -> float:
 
     The least of the margins with each wheel removed. With three wheels, or when the polygon is a point, at most zero.
     """
-    _check_wheels(wheels_in_world)
+    _check(com_in_world, wheels_in_world)
     return conservative_distance(com_in_world[:2], wheels_in_world[:, :2])
 
 
 def tip_over_energy(com_in_world: Vec3, wheels_in_world: Points3) -> float:
     """Height by which the CoM must rise to rotate over the easiest support edge [m]. Valid on slopes.
 
-    Negative outside the support polygon: the height it has fallen from the top. Wheels on one line: at most zero.
+    Negative outside the support polygon: the height it has fallen from the top. Wheels on one line or in one place: at
+    most zero.
     """
-    _check_wheels(wheels_in_world)
+    _check(com_in_world, wheels_in_world)
     return float(_tip_over_energy(_float(com_in_world), _float(wheels_in_world), -1))
 
 
 def cps_tip_over_energy(com_in_world: Vec3, wheels_in_world: Points3) -> float:
     """Tip-over energy with the worst wheel removed [m]: over every edge of every reduced polygon, the CPS's too."""
-    _check_wheels(wheels_in_world)
+    _check(com_in_world, wheels_in_world)
     com, wheels = _float(com_in_world), _float(wheels_in_world)
     return float(min(_tip_over_energy(com, wheels, removed) for removed in range(len(wheels))))
 
 
 def conservative_polygon(wheels_in_world: Points3) -> Points2:
     """Corners of the conservative support polygon in plan view, counter-clockwise; none when it is empty."""
-    _check_wheels(wheels_in_world)
+    _check_count(wheels_in_world)
     plan = np.asarray(wheels_in_world[:, :2], dtype=float)
     corners: np.ndarray | None = None
     for removed in range(len(plan)):
@@ -120,7 +121,7 @@ def stability_rule(
     if all_down_margin not in MARGINS:
         raise SupportError(f"margin {all_down_margin!r} is not one of {', '.join(MARGINS)}")
     down = wheels_in_world[supporting]
-    _check_wheels(down)
+    _check_count(down)
     plain, conservative = support_margin(com_in_world, down), cps_margin(com_in_world, down)
     energy, cps_energy = tip_over_energy(com_in_world, down), cps_tip_over_energy(com_in_world, down)
     checks = {
@@ -136,7 +137,14 @@ def stability_rule(
     )
 
 
-def _check_wheels(wheels: np.ndarray) -> None:
+def _check(com: np.ndarray, wheels: np.ndarray) -> None:
+    """Refuses what has no margin: a place that is not a number compares as neither inside nor outside."""
+    _check_count(wheels)
+    if not (np.isfinite(com).all() and np.isfinite(wheels).all()):
+        raise SupportError(f"centre of mass {com} and wheels must be finite, {int(np.sum(~np.isfinite(wheels)))} values of wheels are not")
+
+
+def _check_count(wheels: np.ndarray) -> None:
     if len(wheels) < 3:
         raise SupportError(f"{len(wheels)} loaded wheels span no polygon, at least 3 do")
 
@@ -175,4 +183,8 @@ def _tip_over_energy(com, wheels, removed):
             rise = np.sqrt(rx * rx + ry * ry + rz * rz) * plan / length - rz
             inside = ex * dy - ey * dx >= 0.0
             least = min(least, rise if inside else -rise)
+    if least == np.inf:  # no edge: all in one place, seen from above, and whatever the CoM does is a fall about it
+        first = 1 if removed == 0 else 0
+        dx, dy, dz = com[0] - wheels[first, 0], com[1] - wheels[first, 1], com[2] - wheels[first, 2]
+        least = -(np.sqrt(dx * dx + dy * dy + dz * dz) - dz)
     return least

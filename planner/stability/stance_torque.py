@@ -14,6 +14,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.leg_torques import leg_torques
 from athlete_twin.model.spec import LEGS
+from athlete_twin.model.statics import wheel_loads
 from planner.stability.stability_map import com_with_leg
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -49,6 +50,9 @@ def peak_torques(
     weight = (spec.mass + payload_kg) * GRAVITY
     held, push = _other_legs(kinematics, joints, leg, down)
     others = [other for other in range(LEGS) if other != leg]
+    # Five wheels that balance no moment are the same five for all places: refused once, by name.
+    at_others = kinematics.wheels_in_hex(joints)[others] + spec.wheel.radius * down
+    wheel_loads(at_others, kinematics.com_in_hex(joints, payload_kg), weight=weight, gravity_direction=down)
     peak = np.zeros(n)
     for standing in (others, list(range(LEGS))):
         forces = zero_interaction(contacts[:, standing], com, weight=weight, down=down)

@@ -3,7 +3,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from athlete_twin.errors import SupportError
+from athlete_twin.errors import KinematicsError, SupportError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.stance import regular_stance
@@ -72,6 +72,20 @@ def test_too_few_wheels_or_wheels_on_a_line_are_refused():
         wheel_loads(HEXAGON, COM, weight=0.0)
     with pytest.raises(SupportError, match="no length"):
         wheel_loads(HEXAGON, COM, weight=1.0, gravity_direction=np.zeros(3))
+    with pytest.raises(SupportError, match="1 values of contacts are not"):
+        wheel_loads(np.where(np.arange(18).reshape(6, 3) == 7, np.nan, HEXAGON), COM, weight=1.0)
+    with pytest.raises(SupportError, match="must be finite"):
+        wheel_loads(HEXAGON, np.full(3, np.nan), weight=1.0)
+
+
+def test_payloads_and_gravities_that_cannot_be_are_refused():
+    sdm = kinematics("sdm_b")
+    joints, standing = regular_stance(sdm.spec), np.ones(6, dtype=bool)
+    for payload in (-1.0, np.nan, np.inf):
+        with pytest.raises(KinematicsError, match="payload is"):
+            stance_loads(sdm, joints, supporting=standing, payload_kg=payload)
+    with pytest.raises(SupportError, match="has no direction"):
+        peak_torque_fraction(sdm, joints, supporting=standing, gravity_in_hex=np.zeros(3))
 
 
 def test_one_leg_lifted_asks_for_more_torque_than_two_as_published():

@@ -28,6 +28,17 @@ def test_brute_force_reaches_what_the_closed_form_puts_there_and_nothing_beyond(
     assert not oracle.reaches(kin, 4, hip + 20.0 * outward, DOWN, rng=rng)
 
 
+def test_a_patient_search_finds_a_leg_that_is_turned_back_under_the_chassis(script):
+    """Pinocchio has the wheel there within limits: a search that denies it errs, and more starts mend that."""
+    oracle, spec = script("stability_oracle"), load_spec("sdm_b")
+    kin, azimuth = Kinematics(spec), spec.hip_azimuths[0] + np.deg2rad(-166.0)
+    place = spec.hips_in_hex[0] + np.array([0.9 * np.cos(azimuth), 0.9 * np.sin(azimuth), 0.2 - 0.8 * spec.chassis_height])
+    angles, there = leg_ik(spec, 0, place[None])
+    assert there[0] and ((angles >= spec.lower) & (angles <= spec.upper)).all()
+    np.testing.assert_allclose(kin.leg_wheel(0, angles[0]).translation, place, atol=1e-6)
+    assert oracle.reaches(kin, 0, place, DOWN, rng=np.random.default_rng(0), starts=oracle.PATIENT_STARTS)
+
+
 def test_rows_have_the_benchmarks_shape(script):
     rows = script("stability_figures").rows(robots=("sdm_b",), cells=4)
     assert all(set(r) == KEYS for r in rows)

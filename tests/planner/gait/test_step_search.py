@@ -10,6 +10,8 @@ from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.polygon import conservative_distance, signed_distance
 from athlete_twin.model.kinematics import GRAVITY
+from athlete_twin.model.reach import leg_ik
+from athlete_twin.model.statics import peak_torque_fraction
 from planner.decisions import NoStep
 from planner.gait.skeleton import nominal_footfall
 from planner.gait.step_plan import StepPlan
@@ -160,6 +162,34 @@ def test_no_step_says_which_check_refused_how_many(robot, on, field):
     assert shaky.reason == "no stable, reachable footfall for leg 1" and shaky.refused["swing_margin"] > 100
 
 
+def test_a_variant_may_refuse_footfalls_that_overload_a_joint(robot, on, field):
+    """Between the loads of the best and of the worst footfall a limit refuses some; Pinocchio says that the chosen one keeps it."""
+    ground, step, leg = on(robot, field()), robot.config.step, 1
+
+    def limited(fraction):
+        config = replace(step, search=replace(step.search, footfall_torque_fraction=fraction))
+        return search(robot, ground, leg=leg, config=config)
+
+    def peak(plan):
+        joints, hex_from_world = robot.belief.joints.copy(), plan.world_from_hex_swing.inverse()
+        down = hex_from_world.rotate(np.array([0.0, 0.0, -GRAVITY]))
+        axle = hex_from_world.apply(plan.footfall_in_world + [0.0, 0.0, robot.spec.wheel.radius])
+        joints[leg] = leg_ik(robot.spec, leg, axle[None], last_link_in_hex=down)[0][0]
+        stances = (np.arange(6) != leg, np.ones(6, dtype=bool))
+        return max(peak_torque_fraction(robot.kin, joints, supporting=s, gravity_in_hex=down) for s in stances)
+
+    free = planned(robot, ground, leg=leg)
+    chosen = limited(peak(free) - 1e-3)
+    assert isinstance(chosen, StepPlan)
+    assert peak(chosen) <= peak(free) - 1e-3
+    assert np.linalg.norm(chosen.footfall_in_world - free.footfall_in_world) > 0.04
+    none = limited(0.05)
+    assert isinstance(none, NoStep)
+    assert none.reason == "leg 2 reaches no footfall that all joints can carry" and none.refused["footfall_torque"] > 20
+    same = limited(10.0)
+    np.testing.assert_array_equal(same.footfall_in_world, free.footfall_in_world)
+
+
 def test_a_lift_beyond_the_legs_reach_is_no_step(robot, on, field):
     found = no_step(robot, on(robot, field()), extra_lift=4.0)
     assert found.reason == "leg 1 cannot lift high enough" and found.refused == {"lift_reach": 1}
@@ -175,6 +205,8 @@ def test_a_leg_that_the_springs_of_the_others_cannot_spare_is_not_lifted(robot, 
 def test_unusable_settings_are_refused():
     with pytest.raises(ConfigError, match="step search needs a positive radius"):
         SearchConfig(radius_fraction=0.0)
+    with pytest.raises(ConfigError, match=r"footfall_torque_fraction is 0\.0, must be positive"):
+        SearchConfig(footfall_torque_fraction=0.0)
     with pytest.raises(ConfigError, match="touchdown 'blind' is not one of guarded"):
         TouchdownConfig(method="blind")
     with pytest.raises(ConfigError, match=r"load_fraction is 2\.0, must be within 0\.1 to 1"):

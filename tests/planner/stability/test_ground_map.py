@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from athlete_twin.errors import SupportError
+from athlete_twin.errors import KinematicsError, SupportError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -108,6 +108,25 @@ def test_a_cell_only_a_leaning_last_link_reaches_is_told_from_one_out_of_reach(s
     assert distance[rim & flat].max() > distance[reached & flat].max()
 
 
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_on_a_tilted_chassis_no_green_cells_last_link_leans_more_than_is_allowed(robot):
+    stand = Stand(robot, tilt=np.deg2rad(14.0))
+    spec = stand.spec
+    last = np.asarray(spec.wheel.offset) / np.linalg.norm(spec.wheel.offset)
+
+    def leans(found):
+        cells = np.argwhere(np.isfinite(found.joints[..., 0]))[::11]
+        turned = [stand.pose.rotate(stand.kin.leg_wheel(1, found.joints[ix, iy]).rotation @ last) for ix, iy in cells]
+        return np.rad2deg(np.arccos(np.clip(-np.array(turned)[:, 2], -1.0, 1.0)))
+
+    open_to_all, kept = stand.map(1, collision=None, max_lean_deg=90.0), stand.map(1, collision=None)
+    assert leans(open_to_all).max() > 12.0
+    assert leans(kept).max() <= 10.0 + 1e-6
+    refused = open_to_all.ok & ~kept.ok
+    assert refused.any() and (kept.reason[refused] == LAST_LINK).all()
+    assert not (kept.ok & ~open_to_all.ok).any()
+
+
 def test_collisions_are_coals(stand):
     found = stand.map(0)
     filled = HeightGrid(
@@ -186,6 +205,12 @@ def test_peak_torque_is_that_of_both_stances(robot, tilt):
         assert peak == pytest.approx(max(each), rel=1e-5)
 
 
+def test_five_wheels_on_one_line_are_refused_by_name(stand, monkeypatch):
+    monkeypatch.setattr(stand.kin, "wheels_in_hex", lambda joints: np.outer(np.arange(6.0), [1.0, 0.0, 0.0]))
+    with pytest.raises(SupportError, match="5 wheels on one line"):
+        peak_torques(stand.kin, stand.joints, 0, stand.joints[:1], places=np.array([[0.0, 3.0, 0.0]]), world_from_hex=stand.pose)
+
+
 def test_wrong_use_is_refused(stand):
     with pytest.raises(SupportError, match="leg index 6"):
         stand.map(6)
@@ -193,8 +218,14 @@ def test_wrong_use_is_refused(stand):
         stand.config(lift=-0.1)
     with pytest.raises(SupportError, match=r"max_torque_fraction is 0\.0"):
         stand.config(max_torque_fraction=0.0)
+    with pytest.raises(SupportError, match=r"max_lean_deg is 0\.0 deg"):
+        stand.config(max_lean_deg=0.0)
     with pytest.raises(SupportError, match="between 0 and 90"):
         stand.config(tilts_deg=(95.0,))
+    with pytest.raises(KinematicsError, match=r"payload is -1\.0 kg"):
+        ground_map(
+            stand.kin, stand.joints, 0, terrain=stand.grid, world_from_hex=stand.pose, config=stand.config(), payload_kg=-1.0
+        )
     other = Stand(stand.spec.name, cell=0.5)
     with pytest.raises(SupportError, match="footfall scores have shape"):
         stand.map(0, footfalls=other.footfalls)

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from athlete_twin.errors import SupportError
-from athlete_twin.geometry.polygon import signed_distance
+from athlete_twin.geometry.polygon import convex_hull, signed_distance
 from planner.stability.margin import (
     conservative_polygon,
     cps_margin,
@@ -125,6 +125,31 @@ def test_tip_over_energy_on_a_slope_is_gravitys_work_integrated(slope_deg, azimu
     assert tip_over_energy(com, wheels) == pytest.approx(least, rel=0.01)
 
 
+@settings(max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000), count=st.integers(3, 6), slope_deg=st.floats(0.0, 14.0))
+def test_tip_over_energy_of_any_stance_on_a_slope_is_gravitys_work_integrated(seed, count, slope_deg):
+    """Feet at any place and height around a centre of mass; the robot turned about each edge until gravity helps."""
+    rng = np.random.default_rng(seed)
+    angles = 2.0 * np.pi * (np.arange(count) + rng.uniform(-0.3, 0.3, count)) / count
+    radii = rng.uniform(1.4, 2.6, count)
+    wheels = np.column_stack([radii * np.cos(angles), radii * np.sin(angles), rng.normal(0.0, 0.15, count)])
+    turn = Rotation.from_euler("zx", [rng.uniform(0.0, 360.0), slope_deg], degrees=True).as_matrix()
+    wheels, com = wheels @ turn.T, turn @ np.array([*rng.normal(0.0, 0.1, 2), rng.uniform(0.7, 2.5)])
+    assume(support_margin(com, wheels) > 0.05)
+    hull = convex_hull(wheels[:, :2])
+    least = min(_work_over(com, wheels[a], wheels[b]) for a, b in zip(hull, np.roll(hull, -1), strict=True))
+    assert tip_over_energy(com, wheels) == pytest.approx(least, rel=0.01)
+
+
+def _work_over(com: np.ndarray, a: np.ndarray, b: np.ndarray) -> float:
+    """Gravity's moment about an edge over the weight, summed over the angle until it changes its sign."""
+    edge = (b - a) / np.linalg.norm(b - a)
+    angles = np.linspace(0.0, np.pi, 8001)
+    resisting = np.cross(Rotation.from_rotvec(angles[:, None] * edge).apply(com - a), [0.0, 0.0, 1.0]) @ edge
+    until = int(np.argmax(resisting <= 0.0))
+    return float(np.trapezoid(resisting[:until], angles[:until]))
+
+
 def test_tip_over_energy_falls_downhill_and_vanishes_above_an_edge():
     edge = HEXAGON.copy()
     level = tip_over_energy(COM, edge)
@@ -181,3 +206,20 @@ def test_fewer_than_three_wheels_and_unknown_margins_are_refused():
         support_margin(COM, HEXAGON[:2])
     with pytest.raises(SupportError, match="cps, support, energy"):
         stability_rule(COM, HEXAGON, supporting=ALL, min_margin=0.3, all_down_margin="best")
+
+
+@pytest.mark.parametrize("measure", [support_margin, cps_margin, tip_over_energy, cps_tip_over_energy])
+def test_what_is_not_a_number_has_no_margin(measure):
+    wheels = HEXAGON.copy()
+    wheels[4, 1] = np.nan
+    with pytest.raises(SupportError, match="1 values of wheels are not"):
+        measure(COM, wheels)
+    with pytest.raises(SupportError, match=r"centre of mass \[ ?nan"):
+        measure(np.array([np.nan, 0.0, 1.0]), HEXAGON)
+
+
+@pytest.mark.parametrize("wheels", [np.zeros((4, 3)), np.outer(np.arange(4.0), [1.0, 0.0, 0.0])], ids=["one place", "one line"])
+def test_wheels_that_span_nothing_have_no_energy_to_tip(wheels):
+    for com in (COM, COM + [0.3, -0.2, 0.0]):
+        assert tip_over_energy(com, wheels) <= 0.0
+        assert cps_tip_over_energy(com, wheels) <= 0.0
