@@ -70,9 +70,13 @@ def individual(script, request):
     return stances.Individual(robot=request.param, seed=0, calibration=known, random=random, refused=(), curves=curves)
 
 
-def test_springs_that_made_the_readings_are_found(figures, individual):
-    found = figures.calibrated(individual)
-    robot = individual.robot
+@pytest.fixture(scope="module")
+def found(figures, individual):
+    return figures.calibrated(individual)
+
+
+def test_springs_that_made_the_readings_are_found(found):
+    robot = found.individual.robot
     assert found.tyre == pytest.approx(TYRE[robot], rel=0.02)
     if robot == "sdm_b":
         np.testing.assert_allclose(found.wheels.stiffness_z, SPRINGS[robot], rtol=0.02)
@@ -84,8 +88,8 @@ def test_springs_that_made_the_readings_are_found(figures, individual):
         assert np.abs(found.errors["docks"]).max() < 1e-3 < np.abs(found.errors["one"]).max()
 
 
-def test_rows_have_the_benchmarks_shape_and_lifts_are_scored(figures, individual):
-    rows = {r["name"]: r for r in figures.rows([figures.calibrated(individual)])}
+def test_rows_have_the_benchmarks_shape_and_lifts_are_scored(figures, found):
+    rows = {r["name"]: r for r in figures.rows([found])}
     assert all(set(r) == KEYS for r in rows.values())
     none = next(r for name, r in rows.items() if name.endswith("none: lift-off height, mean error"))
     assert none["ours"] == pytest.approx(0.12)
@@ -93,8 +97,8 @@ def test_rows_have_the_benchmarks_shape_and_lifts_are_scored(figures, individual
     assert raised["ours"] == pytest.approx(0.13)  # 0.10 m wanted and 0.15 m of raise, less the 0.12 m that contact takes
 
 
-def test_picture_is_drawn(script, figures, individual, tmp_path):
-    path = script("sag_pictures").draw(figures.calibrated(individual), tmp_path / "deep" / "sag.png")
+def test_picture_is_drawn(script, found, tmp_path):
+    path = script("sag_pictures").draw(found, tmp_path / "deep" / "sag.png")
     assert path.stat().st_size > 20_000
 
 
