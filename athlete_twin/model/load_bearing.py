@@ -62,6 +62,9 @@ def load_bearing(
     size = float(np.linalg.norm(gravity_direction))
     if not (np.isfinite(size) and size > 0.0):
         raise SupportError(f"gravity direction {gravity_direction} has no length")
+    bad = int(np.sum(~np.isfinite(wheels_in_hex)))
+    if bad:
+        raise SupportError(f"{bad} values of the wheels' places are not finite, all must be")
     down = np.asarray(gravity_direction, dtype=float) / size
     joints, reaches = leg_ik(spec, leg, wheels_in_hex, last_link_in_hex=down)
     found = np.flatnonzero(reaches)

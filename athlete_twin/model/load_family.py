@@ -23,6 +23,8 @@ from athlete_twin.model.statics import DOWN, balance_matrix, patches_in_hex, tor
 
 SIDES = 12
 """of the pyramid inside the friction cone: it leaves out 3.4 % of the cone's width"""
+INFEASIBLE = 2
+"""status by which `linprog` says that it proved there is no solution; others than 0 are its own troubles"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -44,7 +46,7 @@ class LoadSolution:
     peak_torque_fraction: float
     """largest joint torque of all legs over its limit; NaN when infeasible"""
     reason: str
-    """empty when found; otherwise why no forces of the ground hold the stance"""
+    """empty when found; otherwise why no forces of the ground hold the stance, or that the solver gave up"""
 
     @property
     def feasible(self) -> bool:
@@ -106,7 +108,8 @@ def least_torque_loads(
         A_eq=np.column_stack([balance, np.zeros(6)]), b_eq=wanted, bounds=(0.0, None), method="highs",
     )  # fmt: skip
     if not found.success:
-        text = f"no pushing forces within friction {friction:g} on {len(standing)} wheels hold the stance: {found.message}"
+        none = f"no pushing forces within friction {friction:g} on {len(standing)} wheels hold the stance"
+        text = f"{none if found.status == INFEASIBLE else 'the solver gave up, so forces may exist'}: {found.message}"
         return LoadSolution(forces=np.full((LEGS, 3), np.nan), peak_torque_fraction=float("nan"), reason=text)
     forces = np.zeros((LEGS, 3))
     forces[standing] = weight * found.x[:count].reshape(len(standing), sides) @ edges

@@ -4,16 +4,19 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from scipy.optimize import OptimizeResult, nnls
 
 from athlete_twin.errors import SupportError
+from athlete_twin.model import load_family
 from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.load_bearing import load_bearing
 from athlete_twin.model.load_family import force_family, least_torque_loads
+from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
-from athlete_twin.model.statics import balance_matrix, peak_torque_fraction, torque_fractions
+from athlete_twin.model.statics import balance_matrix, peak_torque_fraction, stance_loads, torque_fractions
 
 ALL = np.ones(6, dtype=bool)
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -86,6 +89,61 @@ def test_no_sample_of_the_family_beats_the_best_by_more_than_the_pyramid_leaves_
     assert best < 1.0
 
 
+@settings(max_examples=40, deadline=None)
+@given(
+    seed=st.integers(0, 10_000), robot=st.sampled_from(["sdm_b", "t12"]),
+    lifted=st.integers(0, 3), friction=st.sampled_from([0.0, 0.2, 0.5]),
+)  # fmt: skip
+def test_of_any_stance_on_any_slope_a_second_solver_finds_the_same_best_loads(seed, robot, lifted, friction):
+    """Feet out of place, the chassis out of level: non-negative least squares reach the peak and not a thousandth less."""
+    rng, kin, spec = np.random.default_rng(seed), kinematics(robot), load_spec(robot)
+    down = np.array([*rng.normal(0.0, 0.12, 2), -1.0])
+    down /= np.linalg.norm(down)
+    gravity, weight = GRAVITY * down, spec.mass * GRAVITY
+    places = kin.wheels_in_hex(regular_stance(spec)) + rng.normal(0.0, 0.15, (6, 3))
+    joints, reached = all_legs_ik(spec, places, last_link_in_hex=down)
+    assume(reached.all())
+    standing = without(*rng.choice(6, lifted, replace=False))
+    rigid, contacts = stance_loads(kin, joints, supporting=standing, gravity_in_hex=gravity)
+    for i, j in itertools.combinations(np.flatnonzero(standing), 2):
+        assert abs((rigid[i] - rigid[j]) @ (contacts[i] - contacts[j])) < 1e-6 * weight
+
+    def fractions(forces):
+        return torque_fractions(kin, joints, wheel_forces_in_hex=forces, contact_in_hex=contacts, gravity_in_hex=gravity).ravel()
+
+    def shortfall(peak):
+        """Of the best try at forces that balance and keep all torques within the peak: zero when there are such forces."""
+        whole = np.block([[balance, np.zeros((6, 2 * held.size))], [np.vstack([push, -push]), np.eye(2 * held.size)]])
+        return nnls(whole, np.concatenate([-down, np.zeros(3), peak - held, peak + held]), maxiter=50_000)[1]
+
+    held, each = fractions(np.zeros((6, 3))), []
+    for leg in np.flatnonzero(standing):
+        for edge in load_family._pyramid(-down, friction, load_family.SIDES):
+            each.append(np.zeros((6, 3)))
+            each[-1][leg] = edge
+    push = np.column_stack([fractions(weight * one) - held for one in each])
+    by_force = balance_matrix(contacts[standing], kin.com_in_hex(joints))
+    balance = np.column_stack([by_force @ one[standing].ravel() for one in each])
+
+    found = least_torque_loads(kin, joints, supporting=standing, friction=friction, gravity_in_hex=gravity)
+    exists = nnls(balance, np.concatenate([-down, np.zeros(3)]))[1] < 1e-8
+    assert found.feasible == exists
+    if not exists:
+        return
+    wrench = by_force @ found.forces[standing].ravel()
+    np.testing.assert_allclose(wrench, weight * np.concatenate([-down, np.zeros(3)]), atol=1e-6 * weight)
+    assert tangential(found.forces, down, friction).max() <= 1e-6 * weight
+    assert shortfall(found.peak_torque_fraction + 1e-6) < 1e-8 and shortfall(found.peak_torque_fraction - 1e-3) > 1e-5
+    if tangential(rigid, down, friction * np.cos(np.pi / load_family.SIDES)).max() <= 0.0:  # a cone inside the pyramid
+        assert found.peak_torque_fraction <= np.abs(fractions(rigid)).max() + 1e-7
+
+
+def tangential(forces, down, friction):
+    """By how much the sideways part of each force is beyond friction on its normal part; a pull is beyond it too [N]."""
+    normal = -forces @ down
+    return np.maximum(np.linalg.norm(forces + normal[:, None] * down, axis=1) - friction * normal, -normal)
+
+
 def test_more_friction_never_asks_for_more_torque_and_none_is_the_vertical_forces():
     kin, joints = kinematics("sdm_b"), regular_stance(load_spec("sdm_b"))
     peaks = [least_torque_loads(kin, joints, supporting=without(3), friction=mu).peak_torque_fraction for mu in (0.0, 0.1, 0.3, 0.6)]
@@ -100,6 +158,14 @@ def test_a_stance_the_ground_cannot_hold_says_why():
     found = least_torque_loads(kin, joints, supporting=without(1, 2), friction=0.0, gravity_in_hex=tilted)
     assert not found.feasible and np.isnan(found.peak_torque_fraction) and np.isnan(found.forces).all()
     assert "friction 0 on 4 wheels" in found.reason
+
+
+def test_a_solver_that_gives_up_is_not_taken_for_a_proof(monkeypatch):
+    kin, joints = kinematics("sdm_b"), regular_stance(load_spec("sdm_b"))
+    stopped = OptimizeResult(success=False, status=1, message="iteration limit", x=None)
+    monkeypatch.setattr(load_family, "linprog", lambda *_, **__: stopped)
+    found = least_torque_loads(kin, joints, supporting=ALL, friction=0.5)
+    assert not found.feasible and found.reason == "the solver gave up, so forces may exist: iteration limit"
 
 
 def test_wrong_use_of_the_family_is_refused():
@@ -152,3 +218,5 @@ def test_wrong_use_of_the_workspace_is_refused():
         load_bearing(spec, 0, np.zeros((1, 3)), load=1.0, max_torque_fraction=0.0)
     with pytest.raises(SupportError, match="no length"):
         load_bearing(spec, 0, np.zeros((1, 3)), load=1.0, gravity_direction=np.zeros(3))
+    with pytest.raises(SupportError, match="1 values of the wheels' places are not finite"):
+        load_bearing(spec, 0, np.array([[np.nan, 0.0, -1.0]]), load=1.0)
