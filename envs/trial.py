@@ -31,6 +31,7 @@ from planner.decisions import GroundAgent, Operator
 
 SCHEMA_VERSION = 1
 OUTCOMES = ("goal_reached", "cycles_done", "time_limit", "fault", "tip_over", "no_step", "operator_abort")
+INTERRUPTED = "interrupted at the console"
 LOOK = 1.0
 """how often the runner looks at what happened, when nothing else stops the mission [s]"""
 HASH_DECIMALS = 9
@@ -141,6 +142,8 @@ class Trial:
     mask_score: MaskScore = field(default_factory=MaskScore)
     """what its builder joins to the robot's views and the ground's looks; without that its figures are None"""
     progress: ProgressReport = lambda _state: None
+    interrupted: bool = False
+    """set from outside, by a signal's handler or another thread, to end the trial within a second of mission time"""
 
     def run(self) -> TrialResult:
         """Run to an outcome; `trial.json` and `trial.mcap` are written when it returns."""
@@ -171,7 +174,7 @@ class Trial:
             try:
                 outcome, reason = self._to_outcome()
             except KeyboardInterrupt:
-                outcome, reason = "operator_abort", "interrupted at the console"
+                outcome, reason = "operator_abort", INTERRUPTED
             except PhysicsError as e:
                 outcome, reason = "fault", f"the simulation broke off: {e}"
             self._record_track()
@@ -183,7 +186,7 @@ class Trial:
     def _to_outcome(self) -> tuple[str, str]:
         mission, scorer = self.mission, self.scorer
         self._sample(self.robot.truth())
-        while True:
+        while not self.interrupted:
             with self.timer("mission_loop"):
                 mission.advance(min(mission.t + LOOK, self.setup.time_limit))
             self._take_completed()
@@ -205,6 +208,7 @@ class Trial:
                 return "time_limit", f"{self.setup.time_limit:.0f} s are over; the ground waited for {awaited}"
             if mission.wants_answer and self._asked():
                 return "operator_abort", "the operator stopped the robot"
+        return "operator_abort", INTERRUPTED
 
     def _asked(self) -> bool:
         """Let the operator answer; whether the answer ends the trial."""

@@ -119,14 +119,26 @@ def prepared(options: Options) -> Trial:
 
 
 def run(trial: Trial) -> TrialResult:
-    """Runs the trial with its progress on the terminal. SIGTERM ends it as Ctrl-C does."""
-    before = signal.signal(signal.SIGTERM, _interrupt)
+    """Runs the trial with its progress on the terminal. SIGTERM and Ctrl-C end it, its files whole; asked twice, at once."""
+
+    def interrupt(_signal: int, _frame: FrameType | None) -> None:
+        # An exception may come out of compiled code as another one: only where a person is awaited, or for the second time.
+        if trial.interrupted or trial.setup.operator == "human":
+            raise KeyboardInterrupt
+        trial.interrupted = True
+
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
+    for number, handler in before.items():
+        # What starts a job in the background has it ignore Ctrl-C; that stays so.
+        if handler is not signal.SIG_IGN:
+            signal.signal(number, interrupt)
     try:
         # A line that renews itself would write over what a person types.
         with _progress(renewed=trial.setup.operator != "human") as trial.progress:
             return trial.run()
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
         trial.robot.close()
 
 
@@ -146,10 +158,6 @@ def _operator(options: Options) -> Operator:
     from terminal_operator import TerminalOperator
 
     return TerminalOperator(robot=options.robot, out=options.out)
-
-
-def _interrupt(_signal: int, _frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
 
 
 @contextmanager

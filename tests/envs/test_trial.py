@@ -239,3 +239,18 @@ def test_output_folder_that_cannot_be_written_is_refused(tmp_path):
     with pytest.raises(ConfigError, match="cannot be written"):
         usable_folder(tmp_path / "file")
     assert usable_folder(tmp_path / "a" / "b").is_dir()
+
+
+def test_a_trial_that_is_told_to_end_ends_within_a_second_and_writes_its_files(trial):
+    """A signal's handler sets this: an exception of its own could come out of compiled code as another one."""
+    made = trial()
+    seen = []
+
+    def after_three(state):
+        seen.append(state.mission.t)
+        made.interrupted = len(seen) >= 3
+
+    made.progress = after_three
+    result = made.run()
+    assert result.outcome == "operator_abort" and result.reason == "interrupted at the console"
+    assert len(seen) == 3 and (made.out / "trial.json").exists()
