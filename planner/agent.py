@@ -426,7 +426,8 @@ class GroundAgent:
             return self._as_proposal(plan, belief, ground, t)
         everything = tuple(c.name for c in self.spec.cameras if c.on_chassis)
         step, pose = self.config.step, plan.world_from_hex_swing
-        collision = LegCollision(self.spec, ground.filled, pose, belief.joints, plan.leg, step.collision)
+        carried = plan.world_from_leg_swing
+        collision = LegCollision(self.spec, ground.filled, carried, belief.joints, plan.leg, step.collision)
         up = raised_path(self.kin, plan, belief, collision, config=self.config.look, payload_kg=self._payload)
         commands: list[Command] = [LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact")]
         if len(up) > 1:

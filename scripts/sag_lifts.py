@@ -15,7 +15,7 @@ from sag_yard import Reading, SagYard
 from athlete_twin.athlete import TruthState
 from athlete_twin.model.spec import LEGS
 from planner.sag.compensate import METHODS, SagConfig, predict_sag
-from planner.sag.docked import Piece, lift_off
+from planner.sag.docked import Docks, Piece
 from planner.sag.identify_docks import DockFit
 from planner.sag.sag_model import FootSprings
 
@@ -108,12 +108,13 @@ def score_docked_lift(
 ) -> LiftScore:
     """The same of springs under the feet and in the docks; `pieces` hang on the docks with the leg in the air."""
     stance = standing.stance
-    contact = lift_off(
-        stance.feet_in_hex, lifted.stance.com_in_hex, stance.weight, curve.leg, pieces=pieces,
-        twist_stiffness=fit.twist_stiffness, lifts=stance.lifts, gravity_in_hex=stance.gravity_in_hex,
+    foreseen = predict_sag(
+        stance.feet_in_hex, curve.leg, com_planted=stance.com_in_hex, com_airborne=lifted.stance.com_in_hex,
+        weight=stance.weight, clearance=WANTED, config=SagConfig(), lifts=stance.lifts, gravity_in_hex=stance.gravity_in_hex,
         springs=FootSprings(stiffness_z=np.full(LEGS, fit.stiffness), lateral_ratio=lateral_ratio),
+        docks=Docks(pieces=pieces, twist_stiffness=fit.twist_stiffness),
     )  # fmt: skip
-    return _score("springs and docks", curve, contact=contact, commanded=contact + WANTED)
+    return _score("springs and docks", curve, contact=foreseen.lift_to_break, commanded=foreseen.commanded_lift)
 
 
 def _score(method: str, curve: LiftCurve, *, contact: float, commanded: float) -> LiftScore:

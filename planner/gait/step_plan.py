@@ -53,6 +53,8 @@ class StepPlan:
     shift: BodyShift
     world_from_hex_swing: SE3
     """believed chassis while the leg is in the air"""
+    world_from_leg_swing: SE3
+    """hex frame of what carries the leg meanwhile: the chassis, or the leg's deck twisted on its dock"""
     preview_joints: np.ndarray
     """shape (k, 6, dof) [rad]"""
     preview_world_from_hex: tuple[SE3, ...]

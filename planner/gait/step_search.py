@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import ConfigError
-from athlete_twin.geometry.arrays import Points2, Points3, Vec2, Vec3, Wheels
+from athlete_twin.geometry.arrays import Points2, Points3, Vec2, Vec3
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -27,9 +27,9 @@ from planner.gait.skeleton import GaitConfig, nominal_footfall, stride
 from planner.gait.step_plan import StepPlan
 from planner.motion.collision import CollisionConfig, LegCollision
 from planner.motion.swing import SwingConfig, SwingPath, plan_swing
-from planner.sag.compensate import SagConfig, SagPrediction, lift_to_break_contact, predict_sag
-from planner.sag.docked import docked_pieces, lift_off
-from planner.sag.sag_model import AIRBORNE, FootSprings, solve_sag
+from planner.sag.compensate import SagConfig, SagPrediction, predict_sag, stand_on
+from planner.sag.docked import Docks
+from planner.sag.sag_model import AIRBORNE, FootSprings
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import REASONS, StabilityConfig, stability_map
 from planner.stability.stance_torque import peak_torques
@@ -163,6 +163,7 @@ def search_step(
         return NoStep(reason=f"leg {leg + 1} cannot be lifted: the springs say {sag.status}", refused={sag.status: 1})
     airborne = not belief.planted[leg]
     swing_pose = belief.world_from_hex if airborne else belief.world_from_hex.compose(sag.standing_from_swinging)
+    leg_pose = swing_pose.compose(sag.swinging_from_leg)
     torque = _torque(kin, belief, sag)
     if torque > config.search.max_torque_fraction and not airborne:
         return NoStep(reason=f"lifting leg {leg + 1} asks {100 * torque:.0f} % of a joint's torque", refused={"torque": 1})
@@ -179,6 +180,7 @@ def search_step(
         config=config.stability,
         lift=config.touchdown.approach_clearance * kin.spec.wheel.radius,
         payload_kg=payload_kg,
+        world_from_leg=leg_pose,
     )
     refused.update({REASONS[code]: int(n) for code, n in enumerate(np.bincount(judged.reason)) if code and n})
     places, landed = places[judged.ok], judged.joints[judged.ok]
@@ -200,12 +202,12 @@ def search_step(
     lift_in_hex, q_break, q_lift = start
     terrain = ground.cautious if request.cautious else ground.filled
     collision = LegCollision(
-        kin.spec, _raised(terrain, sag.terrain_raise), swing_pose, belief.joints, leg, config.collision
+        kin.spec, _raised(terrain, sag.terrain_raise), leg_pose, belief.joints, leg, config.collision
     )
     for place in places[order[: config.search.tried]]:
         plan = _try(
             kin, springs, belief, ground, request, place,
-            sag=sag, swing_pose=swing_pose, lift_in_hex=lift_in_hex, q_break=q_break, q_lift=q_lift,
+            sag=sag, swing_pose=swing_pose, leg_pose=leg_pose, lift_in_hex=lift_in_hex, q_break=q_break, q_lift=q_lift,
             collision=collision, torque=torque, config=config, payload_kg=payload_kg, rng=rng, refused=refused,
         )  # fmt: skip
         if plan is not None:
@@ -217,9 +219,8 @@ def _predict(
     kin: Kinematics, springs: FootSprings, belief: Belief, leg: int, request: StepRequest, config: StepConfig, payload: float
 ) -> SagPrediction:
     com = kin.com_in_hex(belief.joints, payload)
-    feet = kin.wheels_in_hex(belief.motors)
     return predict_sag(
-        feet,
+        kin.wheels_in_hex(belief.motors),
         leg,
         com_planted=com,
         com_airborne=com,
@@ -228,24 +229,8 @@ def _predict(
         springs=springs,
         config=config.sag,
         gravity_in_hex=belief.gravity_in_hex(),
-        dock_drop=_dock_drop(kin, springs, belief, leg, feet, com, payload) if config.sag.docks else 0.0,
+        docks=Docks.of(kin, belief.joints) if config.sag.docks else None,
     )
-
-
-def _dock_drop(
-    kin: Kinematics, springs: FootSprings, belief: Belief, leg: int, feet: Wheels, com: Vec3, payload: float
-) -> float:
-    """By which a lifted leg's corner sinks more than a rigid chassis would let it; 0 without docks [m]."""
-    spec, gravity = kin.spec, belief.gravity_in_hex()
-    if not spec.decks or spec.believed_dock_twist is None:
-        return 0.0
-    weight = (spec.mass + payload) * GRAVITY
-    twisting = lift_off(
-        feet, com, weight, leg, pieces=docked_pieces(kin, belief.joints), twist_stiffness=spec.believed_dock_twist,
-        springs=springs, gravity_in_hex=gravity,
-    )  # fmt: skip
-    rigid = lift_to_break_contact(feet, com, weight, leg=leg, springs=springs, gravity_in_hex=gravity).lift
-    return max(twisting - rigid, 0.0) if np.isfinite(twisting - rigid) else 0.0
 
 
 def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction) -> float:
@@ -350,6 +335,7 @@ def _try(
     *,
     sag: SagPrediction,
     swing_pose: SE3,
+    leg_pose: SE3,
     lift_in_hex: Vec3 | None,
     q_break: np.ndarray,
     q_lift: np.ndarray,
@@ -361,13 +347,15 @@ def _try(
     refused: Counter[str],
 ) -> StepPlan | None:
     spec, leg, touch = kin.spec, request.leg, config.touchdown
-    hex_from_world = swing_pose.inverse()
+    hex_from_world = leg_pose.inverse()
     axle = place + spec.wheel.radius * UP
     above, down = hex_from_world.apply(axle + touch.approach_clearance * spec.wheel.radius * UP), hex_from_world.rotate(-UP)
     depth = sag.reload + touch.search_depth
     ends = np.array([above, hex_from_world.apply(axle), hex_from_world.apply(axle - depth * UP)])
     q, ok = leg_ik(spec, leg, ends, last_link_in_hex=down)
-    if not ok.all():
+    # With its load back on the wheel the leg's deck is no longer twisted.
+    standing_q, stands = leg_ik(spec, leg, swing_pose.inverse().apply(axle[None]), last_link_in_hex=swing_pose.inverse().rotate(-UP))
+    if not (ok.all() and stands.all()):
         refused["descent_reach"] += 1
         return None
     path = plan_swing(
@@ -379,19 +367,19 @@ def _try(
         return None
 
     landed = belief.joints.copy()
-    landed[leg] = q[1]
+    landed[leg] = standing_q[0]
     contacts = belief.contacts_in_world.copy()
     contacts[leg] = place
     com_swing = swing_pose.apply(kin.com_in_hex(belief.joints, payload_kg))
     com_landed = belief.world_from_hex.apply(kin.com_in_hex(landed, payload_kg))
-    standing = solve_sag(
+    standing = stand_on(
         kin.wheels_in_hex(landed),
         kin.com_in_hex(landed, payload_kg),
         (spec.mass + payload_kg) * GRAVITY,
-        stiffness_z=springs.stiffness_z,
-        lateral_ratio=springs.lateral_ratio,
-        lifts=np.where(belief.planted | (np.arange(6) == leg), 0.0, AIRBORNE),
-        gravity_in_hex=belief.gravity_in_hex(),
+        springs,
+        np.where(belief.planted | (np.arange(6) == leg), 0.0, AIRBORNE),
+        belief.gravity_in_hex(),
+        Docks.of(kin, landed) if config.sag.docks else None,
     )
     share = float(standing.forces[leg] @ -belief.gravity_in_hex() / GRAVITY)
     if not standing.converged or share <= 0.0:
@@ -420,6 +408,7 @@ def _try(
         contact_load=touch.load_fraction * share,
         shift=shift,
         world_from_hex_swing=swing_pose,
+        world_from_leg_swing=leg_pose,
         preview_joints=np.array(joints),
         preview_world_from_hex=tuple(poses),
         lift_clearance=touch.lift_clearance * spec.wheel.radius + request.extra_lift,

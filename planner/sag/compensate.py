@@ -19,6 +19,7 @@ from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import LEGS, RobotSpec
+from planner.sag.docked import DockedLiftOff, DockedSag, Docks, lift_off, solve_docked
 from planner.sag.sag_model import AIRBORNE, DOWN, FootSprings, SagSolution, solve_sag
 
 METHODS = ("none", "raise_terrain", "springs")
@@ -84,7 +85,9 @@ class SagPrediction:
     unsagged_from_standing: SE3
     """pose of the chassis with the leg planted, in the hex frame it would have without weight"""
     unsagged_from_swinging: SE3
-    """pose of the chassis with the leg in the air, in the same frame"""
+    """pose of the chassis with the leg in the air, in the same frame; of the pallet, of a robot with docks"""
+    unsagged_from_leg: SE3
+    """pose of what carries the leg in the air, in the same frame: of its deck, twisted on its dock, else of the chassis"""
     forces_standing: Wheels
     """of the ground on the wheels with the leg planted, in hex, shape (6, 3) [N]; zero where the method knows none"""
     forces_swinging: Wheels
@@ -94,6 +97,11 @@ class SagPrediction:
     def standing_from_swinging(self) -> SE3:
         """Pose of the chassis during the swing, in the frame of the chassis that stands on all wheels."""
         return self.unsagged_from_standing.inverse().compose(self.unsagged_from_swinging)
+
+    @property
+    def swinging_from_leg(self) -> SE3:
+        """What carries the leg in the air, in the frame of the chassis meanwhile; the identity of a rigid chassis."""
+        return self.unsagged_from_swinging.inverse().compose(self.unsagged_from_leg)
 
     @property
     def tilt(self) -> float:
@@ -151,7 +159,7 @@ def predict_sag(
     config: SagConfig,
     lifts: PerLeg | None = None,
     gravity_in_hex: Vec3 = DOWN,
-    dock_drop: float = 0.0,
+    docks: Docks | None = None,
 ) -> SagPrediction:
     """What unloading one leg of a six-wheel stance does, and what to command for a true clearance.
 
@@ -166,12 +174,10 @@ def predict_sag(
         config: the method.
         lifts: heights of all feet over their contact points in this stance, shape (6,) [m]; zero by default.
         gravity_in_hex: where gravity points.
-        dock_drop: by which the leg's own corner sinks more than a rigid chassis, its dock twisting; only "springs" knows [m].
+        docks: that the decks twist on; None for a rigid chassis. Only "springs" knows of them.
     """
     if not 0 <= leg < 6:
         raise SagError(f"leg index {leg} is outside 0 to 5")
-    if not (np.isfinite(dock_drop) and dock_drop >= 0.0):
-        raise SagError(f"dock_drop is {dock_drop} m, must be 0 or more")
     if not (np.isfinite(clearance) and clearance >= 0.0):
         raise SagError(f"clearance is {clearance} m, must not be negative")
     if config.method != "springs":
@@ -186,35 +192,67 @@ def predict_sag(
             terrain_raise=raised,
             unsagged_from_standing=SE3.identity(),
             unsagged_from_swinging=SE3.identity(),
+            unsagged_from_leg=SE3.identity(),
             forces_standing=np.zeros((6, 3)),
             forces_swinging=np.zeros((6, 3)),
         )
-    planted = np.zeros(6) if lifts is None else np.asarray(lifts, dtype=float)
-    standing = _solve(feet_in_hex, com_planted, weight, springs, planted, gravity_in_hex)
-    off = lift_to_break_contact(
-        feet_in_hex, com_airborne, weight, leg=leg, springs=springs, lifts=planted, gravity_in_hex=gravity_in_hex
-    )
-    swinging = off.airborne
+    planted = np.zeros(LEGS) if lifts is None else np.asarray(lifts, dtype=float)
+    standing = stand_on(feet_in_hex, com_planted, weight, springs, planted, gravity_in_hex, docks)
+    off: LiftOff | DockedLiftOff
+    if docks is None:
+        off = lift_to_break_contact(
+            feet_in_hex, com_airborne, weight, leg=leg, springs=springs, lifts=planted, gravity_in_hex=gravity_in_hex
+        )
+        carried = off.airborne.unsagged_from_sagged
+    else:
+        off = lift_off(
+            feet_in_hex,
+            com_airborne,
+            weight,
+            leg,
+            docks=docks,
+            springs=springs,
+            lifts=planted,
+            gravity_in_hex=gravity_in_hex,
+        )
+        carried = off.airborne.unsagged_from_leg(leg)
     up = -np.asarray(gravity_in_hex, dtype=float) / np.linalg.norm(gravity_in_hex)
-    along = float(up @ swinging.unsagged_from_sagged.rotation @ up)
     return SagPrediction(
         method=config.method,
         leg=leg,
-        status=standing.status if not standing.converged else swinging.status,
-        lift_to_break=off.lift + dock_drop,
-        commanded_lift=off.lift + dock_drop + clearance / along,
-        reload=max(0.0, off.lift + dock_drop),
+        status=standing.status if not standing.converged else off.airborne.status,
+        lift_to_break=off.lift,
+        commanded_lift=off.lift + clearance / float(up @ carried.rotation @ up),
+        reload=max(0.0, off.lift),
         terrain_raise=0.0,
         unsagged_from_standing=standing.unsagged_from_sagged,
-        unsagged_from_swinging=swinging.unsagged_from_sagged,
+        unsagged_from_swinging=off.airborne.unsagged_from_sagged,
+        unsagged_from_leg=carried,
         forces_standing=standing.forces,
-        forces_swinging=swinging.forces,
+        forces_swinging=off.airborne.forces,
     )
 
 
-def _solve(
-    feet: Wheels, com: Vec3, weight: float, springs: FootSprings, lifts: PerLeg, gravity: Vec3
-) -> SagSolution:
+def stand_on(
+    feet: Wheels, com: Vec3, weight: float, springs: FootSprings, lifts: PerLeg, gravity: Vec3, docks: Docks | None
+) -> SagSolution | DockedSag:
+    """The sagged robot, its decks twisted where it has docks; arguments as of `predict_sag`."""
+    if docks is None:
+        return _solve(feet, com, weight, springs, lifts, gravity)
+    return solve_docked(
+        feet,
+        com,
+        weight,
+        pieces=docks.pieces,
+        twist_stiffness=docks.twist_stiffness,
+        stiffness_z=springs.stiffness_z,
+        lateral_ratio=springs.lateral_ratio,
+        lifts=lifts,
+        gravity_in_hex=gravity,
+    )
+
+
+def _solve(feet: Wheels, com: Vec3, weight: float, springs: FootSprings, lifts: PerLeg, gravity: Vec3) -> SagSolution:
     return solve_sag(
         feet,
         com,

@@ -61,8 +61,21 @@ class DockedSag:
     """angle of each dock [rad]"""
     forces: Wheels
     """of the ground on the feet, in the unsagged hex frame, shape (6, 3) [N]"""
-    converged: bool
+    status: str
+    """as of `SagSolution`; that of the rigid robot where it does not stand"""
     pieces: tuple[Piece, ...]
+
+    @property
+    def converged(self) -> bool:
+        """Whether the solution may be believed."""
+        return self.status == "converged"
+
+    def unsagged_from_leg(self, leg: int) -> SE3:
+        """Where what carries a leg has gone, the pallet or a deck twisted on its dock, in the unsagged hex frame."""
+        for piece, twist in zip(self.pieces, self.twists, strict=True):
+            if leg in piece.legs:
+                return self.unsagged_from_sagged.compose(_hinge(piece, float(twist)))
+        return self.unsagged_from_sagged
 
     def place(self, points_in_hex: Points3, legs: np.ndarray) -> np.ndarray:
         """Where points of the unsagged robot go, shape (n, 3), in the unsagged hex frame [m].
@@ -72,6 +85,38 @@ class DockedSag:
             legs: index of the leg whose deck each point belongs to, -1 for the pallet, shape (n,).
         """
         return _placed(points_in_hex, legs, self.unsagged_from_sagged, self.pieces, self.twists)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Docks:
+    """The believed docks of a robot in a stance."""
+
+    pieces: tuple[Piece, ...]
+    twist_stiffness: float
+    """of a dock [N m/rad]"""
+
+    @staticmethod
+    def of(kinematics: Kinematics, joints: Joints) -> Docks | None:
+        """By the drawings; None for a robot whose chassis is believed rigid.
+
+        Args:
+            kinematics: of the robot.
+            joints: of all legs, shape (6, dof) [rad].
+        """
+        twist = kinematics.spec.believed_dock_twist
+        if not kinematics.spec.decks or twist is None:
+            return None
+        return Docks(pieces=docked_pieces(kinematics, joints), twist_stiffness=twist)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DockedLiftOff:
+    """Where a foot's believed force reaches zero, its deck twisting."""
+
+    lift: float
+    """commanded height of the wheel over its planted place at which contact breaks [m]; NaN where nothing holds"""
+    airborne: DockedSag
+    """the robot standing on the others"""
 
 
 def docked_pieces(kinematics: Kinematics, joints: Joints) -> tuple[Piece, ...]:
@@ -150,10 +195,10 @@ def solve_docked(
     begin = np.concatenate([start.translation, start.rotvec(), np.zeros(len(pieces))])
     found = root(balance, begin, jac=lambda x: _derivative(balance, x), method="hybr", options={"xtol": 1e-12})
     moved = _placed(feet_in_hex, np.arange(LEGS), _pose(found.x), pieces, found.x[6:]) - feet_in_hex
+    balanced = "converged" if np.abs(found.fun).max() < BALANCED else "not_converged"
     return DockedSag(
         unsagged_from_sagged=_pose(found.x), twists=found.x[6:], pieces=pieces,
-        forces=_foot_forces(moved, springs, lifts, -down),
-        converged=bool(rigid.converged and np.abs(found.fun).max() < BALANCED),
+        forces=_foot_forces(moved, springs, lifts, -down), status=balanced if rigid.converged else rigid.status,
     )  # fmt: skip
 
 
@@ -163,13 +208,12 @@ def lift_off(
     weight: float,
     leg: int,
     *,
-    pieces: tuple[Piece, ...],
-    twist_stiffness: float,
+    docks: Docks,
     springs: FootSprings,
     lifts: PerLeg | None = None,
     gravity_in_hex: Vec3 = DOWN,
-) -> float:
-    """Commanded height of one wheel over its planted place at which contact breaks [m]; NaN where nothing holds.
+) -> DockedLiftOff:
+    """The commanded height of one wheel over its planted place at which contact breaks, and the robot then.
 
     As `compensate.lift_to_break_contact`, its own deck sinking with the leg; other arguments as of `solve_docked`. `lifts`
     is zero by default; the leg's own is what its planted place has.
@@ -180,14 +224,16 @@ def lift_off(
     without = planted.copy()
     without[leg] = AIRBORNE
     sag = solve_docked(
-        feet_in_hex, com_in_hex, weight, pieces=pieces, twist_stiffness=twist_stiffness, stiffness_z=springs.stiffness_z,
-        lateral_ratio=springs.lateral_ratio, lifts=without, gravity_in_hex=gravity_in_hex,
+        feet_in_hex, com_in_hex, weight, pieces=docks.pieces, twist_stiffness=docks.twist_stiffness,
+        stiffness_z=springs.stiffness_z, lateral_ratio=springs.lateral_ratio, lifts=without, gravity_in_hex=gravity_in_hex,
     )  # fmt: skip
     if not sag.converged:
-        return float("nan")
+        return DockedLiftOff(lift=float("nan"), airborne=sag)
     up = -np.asarray(gravity_in_hex, dtype=float) / np.linalg.norm(gravity_in_hex)
-    place = feet_in_hex[leg : leg + 1]
-    return -float(up @ (sag.place(place, np.array([leg])) - place)[0]) - float(planted[leg])
+    carried = sag.unsagged_from_leg(leg)
+    # The foot at p + lift * up goes to T(p + lift * up); it breaks contact where that stands at its contact height.
+    sunk = float(up @ (carried.apply(feet_in_hex[leg]) - feet_in_hex[leg]))
+    return DockedLiftOff(lift=-(sunk + float(planted[leg])) / float(up @ carried.rotation @ up), airborne=sag)
 
 
 def _placed(points: np.ndarray, legs: np.ndarray, pose: SE3, pieces: tuple[Piece, ...], twists: np.ndarray) -> np.ndarray:

@@ -83,6 +83,7 @@ def stability_map(
     config: StabilityConfig,
     lift: float = 0.0,
     payload_kg: float = 0.0,
+    world_from_leg: SE3 | None = None,
 ) -> StabilityMap:
     """Judges n footfalls of one leg while the other five stay where they are.
 
@@ -95,10 +96,12 @@ def stability_map(
         config: limits.
         lift: height of the way-point above the footfall that must be within reach [m].
         payload_kg: [kg]
+        world_from_leg: hex frame of what carries the leg, where its deck twists on a dock; the chassis when None. It says
+            what is within reach; of the margins, centimetres of one leg's mass are left out.
     """
     spec = kinematics.spec
     n, radius = len(footfalls_in_world), spec.wheel.radius
-    hex_from_world = world_from_hex.inverse()
+    hex_from_world = (world_from_hex if world_from_leg is None else world_from_leg).inverse()
     up_in_world = np.array([0.0, 0.0, 1.0])
     down_in_hex = hex_from_world.rotate(-up_in_world)
     known = np.isfinite(footfalls_in_world).all(axis=1)

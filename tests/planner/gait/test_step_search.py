@@ -74,10 +74,10 @@ def test_a_step_keeps_the_stability_rule_while_the_leg_swings_and_after(robot, o
 def test_the_way_down_ends_below_the_footfall_and_the_wheel_arrives_above_it(robot, on, field):
     plan, radius = planned(robot, on(robot, field()), leg=1), robot.spec.wheel.radius
     touch = robot.config.step.touchdown
-    above = plan.world_from_hex_swing.apply(robot.kin.leg_wheel(1, plan.swing[-1]).translation)
+    above = plan.world_from_leg_swing.apply(robot.kin.leg_wheel(1, plan.swing[-1]).translation)
     np.testing.assert_allclose(above[:2], plan.footfall_in_world[:2], atol=MILLIMETRE)
     assert above[2] == pytest.approx(plan.footfall_in_world[2] + (1.0 + touch.approach_clearance) * radius, abs=MILLIMETRE)
-    lowest = plan.world_from_hex_swing.apply(plan.descent_in_hex)
+    lowest = plan.world_from_leg_swing.apply(plan.descent_in_hex)
     np.testing.assert_allclose(lowest[:2], plan.footfall_in_world[:2], atol=MILLIMETRE)
     assert plan.footfall_in_world[2] + radius - lowest[2] > touch.search_depth
     share = robot.spec.mass * GRAVITY / 6

@@ -8,7 +8,7 @@ from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from planner.sag.compensate import SagConfig, lift_to_break_contact, predict_sag
-from planner.sag.docked import docked_pieces, lift_off, solve_docked
+from planner.sag.docked import Docks, docked_pieces, lift_off, solve_docked
 from planner.sag.identify import MeasuredStance
 from planner.sag.identify_docks import identify_docks, predict_docked_heights
 from planner.sag.sag_model import AIRBORNE, FootSprings, solve_sag
@@ -21,6 +21,7 @@ COM = KIN.com_in_hex(JOINTS)
 WEIGHT = SPEC.mass * GRAVITY
 PIECES = docked_pieces(KIN, JOINTS)
 K, RATIO, TWIST = np.full(6, 60e3), 0.5, 4e5
+DOCKS = Docks(pieces=PIECES, twist_stiffness=TWIST)
 CORNERS = np.array(SPEC.hips_in_hex)
 LEGS = np.arange(6)
 
@@ -96,7 +97,7 @@ def test_a_pallet_corners_leg_drops_its_corner_more_than_a_rigid_deck_can():
 def test_lift_off_is_where_the_gradual_model_lets_the_foot_go(leg):
     """Raised by a little less the foot still bears, by a little more it does not."""
     springs = FootSprings(stiffness_z=K, lateral_ratio=RATIO)
-    found = lift_off(FEET, COM, WEIGHT, leg, pieces=PIECES, twist_stiffness=TWIST, springs=springs)
+    found = lift_off(FEET, COM, WEIGHT, leg, docks=DOCKS, springs=springs).lift
     rigid = lift_to_break_contact(FEET, COM, WEIGHT, leg=leg, springs=springs).lift
     assert found > rigid + (0.02 if leg != 1 else -0.002)
     for more, bears in ((-0.004, True), (0.004, False)):
@@ -109,15 +110,23 @@ def test_lift_off_is_where_the_gradual_model_lets_the_foot_go(leg):
         assert sag.converged and (sag.forces[leg, 2] > 0.0) == bears
 
 
-def test_a_docks_drop_is_added_to_lift_and_reload():
-    arguments = dict(com_planted=COM, com_airborne=COM, weight=WEIGHT, clearance=0.1, config=SagConfig())
+@pytest.mark.parametrize("leg", [0, 1, 2])
+def test_a_foreseen_lift_clears_the_ground_by_what_was_asked_once_the_deck_has_twisted(leg):
     springs = FootSprings(stiffness_z=K, lateral_ratio=RATIO)
-    rigid = predict_sag(FEET, 2, springs=springs, **arguments)
-    docked = predict_sag(FEET, 2, springs=springs, dock_drop=0.04, **arguments)
-    for name in ("lift_to_break", "commanded_lift", "reload"):
-        assert getattr(docked, name) == pytest.approx(getattr(rigid, name) + 0.04)
-    with pytest.raises(SagError, match=r"dock_drop is -0\.1 m"):
-        predict_sag(FEET, 2, springs=springs, dock_drop=-0.1, **arguments)
+    foreseen = predict_sag(
+        FEET, leg, com_planted=COM, com_airborne=COM, weight=WEIGHT, clearance=0.1, config=SagConfig(), springs=springs, docks=DOCKS
+    )
+    lifted = FEET[leg] + [0.0, 0.0, foreseen.commanded_lift]
+    assert (foreseen.unsagged_from_leg.apply(lifted) - FEET[leg])[2] == pytest.approx(0.1, abs=1e-9)
+    sag = _solve(_lifted(leg))
+    np.testing.assert_allclose(
+        foreseen.unsagged_from_leg.apply(FEET[leg]), sag.place(FEET[leg : leg + 1], np.array([leg]))[0], atol=1e-9
+    )
+    np.testing.assert_allclose(foreseen.forces_swinging, sag.forces, atol=1e-6)
+    rigid = predict_sag(
+        FEET, leg, com_planted=COM, com_airborne=COM, weight=WEIGHT, clearance=0.1, config=SagConfig(), springs=springs
+    )
+    np.testing.assert_allclose(rigid.swinging_from_leg.matrix(), np.eye(4), atol=1e-12)
 
 
 def _measured(legs, stiffness, twist, noise=0.0, seed=0):
