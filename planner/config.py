@@ -157,6 +157,8 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
             raise ConfigError(f"variant {name}: [settings.{stage}] is not known; {_meant(stage, tuple(SETTINGS))}")
     extra: dict[str, float] = {
         "level_deck_deg": float(level),
+        "sigma_common": spec.believed_map_sigma,
+        "sink": spec.believed_sink,
         "terrain_clearance": CLEARANCE * spec.wheel.radius,
         "typical_terrain": TYPICAL[chosen["footfall"]],
     }

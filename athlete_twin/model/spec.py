@@ -141,6 +141,10 @@ class RobotSpec:
     """of each of the docks, None without docks [N m/rad]"""
     believed_lateral_ratio: float
     """horizontal over vertical stiffness"""
+    believed_sink: float
+    """by which axles stand lower than the tyres' springs say, the wheels in soil and the chassis bent between them [m]"""
+    believed_map_sigma: float
+    """of the height of all that its cameras see at once, from their mountings and the chassis between them and the wheels [m]"""
     cameras: tuple[StereoCamera, ...]
 
     @property
@@ -233,6 +237,8 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         believed_foot_stiffness=figure(belief["foot_stiffness_z"]),
         believed_tyre_stiffness=figure(belief["tyre_stiffness_z"]),
         believed_lateral_ratio=figure(belief["lateral_ratio"]),
+        believed_sink=figure(belief["sink"]),
+        believed_map_sigma=figure(belief["map_sigma"]),
         believed_dock_twist=figure(belief["dock_twist"]) if "dock_twist" in belief else None,
         cameras=tuple(c for group in content["camera"] for c in _cameras(group)),
     )

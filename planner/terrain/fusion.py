@@ -60,8 +60,8 @@ class FusionConfig:
     """a cell's own standard deviation grows by this between two views, for what the pose estimate adds [m]"""
     sigma_common: float = 0.0025
     """of a fused cell's height, from what views have in common and averaging does not remove: the cameras' mountings, the
-    world's zero [m]; with `sigma_sideways` fitted so that 90 % of the truth lies in the band, on walks of other seeds than
-    those reported"""
+    world's zero [m]; a robot's drawings say how much (`RobotSpec.believed_map_sigma`), with `sigma_sideways` fitted so that
+    90 % of the truth lies in the band, on walks of other seeds than those reported"""
     sigma_sideways: float = 0.012
     """of a fused cell's place, from the same causes; counts times the slope [m]"""
     passed_below: float = 0.05
