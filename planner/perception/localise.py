@@ -35,8 +35,8 @@ class WheelFitConfig:
     iterations: int = 8
     sink: float = 0.015
     """by which the wheels stand deeper than the tyres' belief says, before pictures tell more: soil, and a deck that
-    bends; at the start of three walks of each robot on loose soil, seeds 100, 102 and 103, it was 1.1 cm for SDM-B and 3.2 cm for
-    T12, and about none it is on hard ground [m]"""
+    bends; a robot's drawings say its own (`RobotSpec.believed_sink`), of walks on loose soil. On hard ground it is about
+    none for SDM-B [m]"""
     sink_sigma: float = 0.03
     """of it, from ground to ground and robot to robot: nobody knows the soil before the wheels stand on it [m]"""
 

@@ -92,6 +92,16 @@ def test_the_shipped_variants_weigh_footfalls_as_the_step_search_does_by_itself(
     assert config.step.search.typical_terrain == SearchConfig().typical_terrain
 
 
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_a_robots_drawings_say_what_its_maps_and_axles_are_believed_and_a_variant_may_differ(robot):
+    spec = load_spec(robot)
+    drawn = planner_config(content("integrated"), spec, name="x")
+    assert (drawn.fusion.sigma_common, drawn.wheel_fit.sink) == (spec.believed_map_sigma, spec.believed_sink)
+    table = {"fusion": {"sigma_common": 0.02}, "wheel_fit": {"sink": 0.05}}
+    own = planner_config(content("integrated") | {"settings": table}, spec, name="x")
+    assert (own.fusion.sigma_common, own.wheel_fit.sink) == (0.02, 0.05)
+
+
 def test_a_soil_that_bears_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"\[settings.footfall\] soil_k is 0.0, must be positive"):
         planner_config(content("integrated") | {"settings": {"footfall": {"soil_k": 0.0}}}, load_spec("sdm_b"), name="x")
