@@ -89,6 +89,7 @@ class SagSolution:
     status: str
     """"converged"; "tips": the CoM is outside the feet that could carry, the chassis turns by more than `MAX_TILT`, or the
     forces balance like a pencil on its tip, as over feet on one line: the least push makes it fall;
+    "pulls": of `solve_loaded` alone, the ground would have to hold a foot down, so that it is not loaded in truth;
     "too_few_feet": fewer than three carry; "not_converged": the iteration ended elsewhere"""
 
     @property
@@ -119,7 +120,8 @@ def solve_sag(
         lifts: height of each unsagged foot above the place where its spring begins to bear, shape (6,) [m]. Positive
             lifted (eq. 9), `AIRBORNE` out of the way; negative pressed in already, as after a touchdown that went on.
         gravity_in_hex: where gravity points; any length.
-        start: a solution of a neighbouring problem to begin from.
+        start: a solution of a neighbouring problem to begin from. One that is not converged is not begun from, and where
+            one leads to no solution a cold start is tried: it changes how long a solution takes, not whether there is one.
     """
     springs = FootSprings(stiffness_z=stiffness_z, lateral_ratio=lateral_ratio)
     lifts = np.asarray(lifts, dtype=float)
@@ -129,23 +131,27 @@ def solve_sag(
     feet, com = feet_in_hex @ level_from_hex.T, level_from_hex @ com_in_hex
     # Copies: numba compiles once more for arrays that are read-only or not contiguous.
     feet, stiffness, lifts, spent = np.ascontiguousarray(feet), springs.stiffness_z.copy(), lifts.copy(), 0
-    if start is None:
-        begin = np.zeros((7, 3))
-        begin[:, 2] = -even_sink(stiffness, lifts, float(weight))
-    else:
-        begin = np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T
-    for softness in ((SOFT_CONTACT,), SOFTENED):
-        moved = begin
-        for soft in softness:
-            moved, forces, residual, iterations, firm = levenberg_marquardt(
-                feet, com, weight, stiffness, lateral_ratio, lifts, True, soft, moved
-            )
-            spent += iterations
-        if residual <= TOLERANCE:
+    cold = np.zeros((7, 3))
+    cold[:, 2] = -even_sink(stiffness, lifts, float(weight))
+    begins = [cold]
+    if start is not None and start.converged:
+        begins.insert(0, np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T)
+    for begin in begins:
+        for softness in ((SOFT_CONTACT,), SOFTENED):
+            moved = begin
+            for soft in softness:
+                moved, forces, residual, iterations, firm = levenberg_marquardt(
+                    feet, com, weight, stiffness, lateral_ratio, lifts, True, soft, moved
+                )
+                spent += iterations
+            if residual <= TOLERANCE:
+                break
+        found = _solution(
+            feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, firm, level_from_hex
+        )
+        if found.converged:
             break
-    return _solution(
-        feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, firm, level_from_hex
-    )
+    return found
 
 
 def solve_loaded(
@@ -162,7 +168,7 @@ def solve_loaded(
 
     Only loaded feet enter the equations. Unknowns are their forces and the CoM; each force is held as the displacement
     force / k of eq. 3, which brings all unknowns to one size and changes nothing else. A loaded foot's spring also
-    pulls: this form cannot know that a foot lifts itself off.
+    pulls: this form cannot let a foot go by itself, but says that one pulls.
 
     Args:
         feet_in_hex: where the springs hold the feet, unsagged, shape (6, 3) [m].
@@ -247,8 +253,8 @@ def _solution(
     if pose is None:
         pose = _rigid_fit(np.vstack([feet, com]), np.vstack([feet, com]) + displacements)
     status = "converged"
+    can_carry = np.isfinite(lifts)
     if residual > TOLERANCE:
-        can_carry = np.isfinite(lifts)
         status = "tips" if _tips(feet[can_carry] @ level_from_hex.T, level_from_hex @ com) else "not_converged"
         if can_carry.sum() < 3:
             status = "too_few_feet"
@@ -256,6 +262,8 @@ def _solution(
         status = "too_few_feet"
     elif not firm or float(up @ pose.rotation @ up) < np.cos(MAX_TILT):
         status = "tips"
+    elif float((forces @ up).min()) < -TOLERANCE * float(np.abs(forces @ up).sum()):
+        status = "tips" if _tips(feet[can_carry] @ level_from_hex.T, level_from_hex @ com) else "pulls"
     return SagSolution(
         forces=forces,
         displacements=displacements[:6],
