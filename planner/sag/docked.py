@@ -21,9 +21,9 @@ from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import Joints, PerLeg, Points3, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_coms import leg_coms_in_hex
 from athlete_twin.model.spec import LEGS
 from planner.sag.sag_model import AIRBORNE, DOWN, SOFT_CONTACT, FootSprings, solve_sag
-from planner.stability.stability_map import leg_coms_in_hex
 
 TWIST = np.array([0.0, 1.0, 0.0])
 """axis of a dock's twist in hex: across its plane, the Tri-ATHLETEs lying left and right of the pallet"""
