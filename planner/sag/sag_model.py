@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import SagError
-from athlete_twin.geometry.arrays import PerLeg, PerLegFlag, Vec3, Wheels
+from athlete_twin.geometry.arrays import Mat3, PerLeg, PerLegFlag, Vec3, Wheels
 from athlete_twin.geometry.polygon import signed_distance
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import RobotSpec
@@ -127,7 +127,8 @@ def solve_sag(
     lifts = np.asarray(lifts, dtype=float)
     if lifts.shape != (6,) or np.isnan(lifts).any() or np.isneginf(lifts).any():
         raise SagError(f"lifts are {lifts}, need six heights [m], or AIRBORNE")
-    level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
+    _check(feet_in_hex, com_in_hex, weight)
+    level_from_hex = levelling(gravity_in_hex)
     feet, com = feet_in_hex @ level_from_hex.T, level_from_hex @ com_in_hex
     # Copies: numba compiles once more for arrays that are read-only or not contiguous.
     feet, stiffness, lifts, spent = np.ascontiguousarray(feet), springs.stiffness_z.copy(), lifts.copy(), 0
@@ -185,7 +186,8 @@ def solve_loaded(
         raise SagError(f"flags of loaded feet have shape {loaded.shape}, need (6,)")
     if count < 3:
         raise SagError(f"{count} loaded feet carry no robot, at least 3 do")
-    level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
+    _check(feet_in_hex, com_in_hex, weight)
+    level_from_hex = levelling(gravity_in_hex)
     feet, com = feet_in_hex[loaded] @ level_from_hex.T, level_from_hex @ com_in_hex
     stiffness = springs.stiffness_z[loaded]
     begin = np.zeros((count + 1, 3))
@@ -206,22 +208,25 @@ def solve_loaded(
     )
 
 
-def _level_from_hex(feet: np.ndarray, com: np.ndarray, weight: float, gravity: np.ndarray) -> np.ndarray:
-    """Checks the arguments; rotation to a frame whose z axis points against gravity."""
-    if feet.shape != (6, 3) or com.shape != (3,) or not (np.isfinite(feet).all() and np.isfinite(com).all()):
-        raise SagError(f"feet and CoM have shapes {feet.shape} and {com.shape}, need finite (6, 3) and (3,)")
-    if not (np.isfinite(weight) and weight > 0.0):
-        raise SagError(f"weight is {weight} N, must be positive")
-    size = math.sqrt(gravity @ gravity)
+def levelling(gravity_in_hex: Vec3) -> Mat3:
+    """Rotation from hex to a frame whose z axis points against gravity."""
+    size = math.sqrt(gravity_in_hex @ gravity_in_hex)
     if not (np.isfinite(size) and size > 0.0):
-        raise SagError(f"gravity is {gravity}, must be finite with a length")
-    up = -np.asarray(gravity, dtype=float) / size
+        raise SagError(f"gravity is {gravity_in_hex}, must be finite with a length")
+    up = -np.asarray(gravity_in_hex, dtype=float) / size
     # Cross products written out: numpy's cost as much as the whole iteration.
     x, y, z = up
     side = np.array([0.0, z, -y] if abs(x) < 0.9 else [-z, 0.0, x])
     side /= math.sqrt(side @ side)
     a, b, c = side
     return np.array([[b * z - c * y, c * x - a * z, a * y - b * x], side, up])
+
+
+def _check(feet: np.ndarray, com: np.ndarray, weight: float) -> None:
+    if feet.shape != (6, 3) or com.shape != (3,) or not (np.isfinite(feet).all() and np.isfinite(com).all()):
+        raise SagError(f"feet and CoM have shapes {feet.shape} and {com.shape}, need finite (6, 3) and (3,)")
+    if not (np.isfinite(weight) and weight > 0.0):
+        raise SagError(f"weight is {weight} N, must be positive")
 
 
 def _rigid_fit(before: np.ndarray, after: np.ndarray) -> SE3:
