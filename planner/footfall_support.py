@@ -73,7 +73,8 @@ def energy(highest: Cells, depth: Cells, heights: Cells, foot: np.ndarray, *, ce
 
 def _by_rows(fill: Callable[[int, int], None], rows: int) -> None:
     """Fill rows of a map in as many threads as there are cores, each its own: the bytes do not depend on how many."""
-    threads = min(len(os.sched_getaffinity(0)), MOST_THREADS)
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    threads = min(cores, MOST_THREADS)
     bounds = np.linspace(0, rows, threads + 1).astype(int)
     with ThreadPoolExecutor(threads) as pool:
         list(pool.map(fill, bounds[:-1], bounds[1:]))

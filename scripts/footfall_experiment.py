@@ -121,7 +121,7 @@ def row_means(values: np.ndarray, choosers: Sequence[str] = CHOOSERS, *, over: s
 
 
 def order_holds(means: np.ndarray) -> dict[str, bool]:
-    """What the paper found of the rows' means: three agree, Plane Fit less, Support Area least."""
+    """What the paper found of the rows' means: each of three agrees better than Plane Fit, and Plane Fit better than Support Area."""
     max_min, plane_fit, support, volume, equilibrium = means
     found = {
         "three_below_plane_fit": bool(max(max_min, volume, equilibrium) < plane_fit),

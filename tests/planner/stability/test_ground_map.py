@@ -128,7 +128,7 @@ def test_on_a_tilted_chassis_no_green_cells_last_link_leans_more_than_is_allowed
     assert not (kept.ok & ~open_to_all.ok).any()
 
 
-def test_collisions_are_coals(stand):
+def test_collision_cells_are_those_that_the_leg_check_refuses(stand):
     found = stand.map(0)
     filled = HeightGrid(
         origin_x=stand.grid.origin_x, origin_y=stand.grid.origin_y, cell=stand.grid.cell,
