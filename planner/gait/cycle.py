@@ -163,8 +163,8 @@ class CycleVerdict:
         count = int(self.phase.max()) + 1
         return np.array([self.fraction[self.swinging & (self.phase == k)].max() for k in range(count)])
 
-    def refusal(self, spec: RobotSpec) -> str:
-        """Why the robot may not walk like this; empty where it may: reach, then the stability rule, then saturation."""
+    def blocked(self, spec: RobotSpec) -> str:
+        """What forbids the cycle whatever the joints can hold: reach, the stability rule, ground that would have to pull."""
         if not self.reaches.all():
             moment, leg = np.argwhere(~self.reaches)[0]
             return f"leg {leg + 1} does not reach in phase {self.phase[moment] + 1}"
@@ -173,7 +173,17 @@ class CycleVerdict:
             return f"support margin {self.swing_margin:.3f} m is below {least:.2f} m while legs swing"
         if self.standing_cps_margin < least:
             return f"CPS margin {self.standing_cps_margin:.3f} m is below {least:.2f} m with all wheels down"
-        return "" if self.peak <= 1.0 else f"a joint is asked for {100.0 * self.peak:.0f} % of its limit"
+        if not np.isfinite(self.fraction).all():
+            moment = int(np.argmin(np.isfinite(self.fraction)))
+            return f"zero interaction would have the ground pull a wheel in phase {self.phase[moment] + 1}"
+        return ""
+
+    def refusal(self, spec: RobotSpec) -> str:
+        """Why the robot may not walk like this; empty where it may: `blocked`, or a joint is asked for too much."""
+        blocked = self.blocked(spec)
+        if blocked or self.peak <= 1.0:
+            return blocked
+        return f"a joint is asked for {100.0 * self.peak:.0f} % of its limit"
 
 
 def judge_cycle(cycle: GaitCycle, displacements: np.ndarray | None = None, *, payload_kg: float = 0.0) -> CycleVerdict:
