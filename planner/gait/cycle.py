@@ -94,6 +94,8 @@ def gait_cycle(
     order = tuple((leg,) for leg in reverse_wave(spec, heading)) if groups is None else tuple(groups)
     if sorted(leg for group in order for leg in group) != list(range(LEGS)):
         raise PlanningError(f"groups {order} must hold each leg 0 to {LEGS - 1} once")
+    if not abs(float(np.linalg.norm(heading)) - 1.0) < 1e-6:
+        raise PlanningError(f"heading {heading} has length {np.linalg.norm(heading):g}, must be 1")
     if not (np.isfinite(stride) and stride >= 0.0):
         raise PlanningError(f"stride is {stride} m, must be 0 or more")
     radius = spec.foot_radius if foot_radius is None else foot_radius
