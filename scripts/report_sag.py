@@ -12,10 +12,11 @@ from athlete_twin.geometry.se3 import SE3
 
 
 def measured_sags(trial: TrialRecording) -> np.ndarray:
-    """Of each proposal's step, truly, NaN where none was taken, shape (n,) [m].
+    """Of each proposal's step, truly, shape (n,) [m]; NaN where none was taken or its leg is never seen standing before.
 
     As the prediction is defined: by how much the chassis drops at its origin, or turns at the hip of the leg, whichever is
-    more, from where it stood when the step was decided. The median over the time that the leg swings.
+    more, from where it was when the leg last stood. That is when the step was decided, unless the leg was in the air already:
+    lifted for pictures, or led back from what it struck. The median over the time that the leg swings.
     """
     return np.array([_measured(trial, number) for number in range(len(trial.proposals))])
 
@@ -25,14 +26,16 @@ def _measured(trial: TrialRecording, number: int) -> float:
     if shown.kind != "step" or shown.decision != "approve":
         return float("nan")
     end = trial.proposals[number + 1].t if number + 1 < len(trial.proposals) else np.inf
+    phases_by_time = list(zip(trial.states.t, trial.states.phases, strict=True))
+    stood_at = [t for t, phases in phases_by_time if t <= shown.decided and phases[shown.leg] == "stance"]
     swings = [
         t
-        for t, phases in zip(trial.states.t, trial.states.phases, strict=True)
+        for t, phases in phases_by_time
         if shown.decided <= t < end and phases[shown.leg] == "swing"
     ]
-    if not swings:
+    if not (swings and stood_at):
         return float("nan")
-    stood = _pose(trial, shown.decided)
+    stood = _pose(trial, stood_at[-1])
     hip = float(np.linalg.norm(trial.spec.hips_in_hex[shown.leg]))
     sags = []
     for t in swings:

@@ -47,8 +47,9 @@ class SagConfig:
         return FootSprings(stiffness_z=np.array(self.stiffness_z), lateral_ratio=spec.believed_lateral_ratio)
 
     def __post_init__(self) -> None:
-        if self.stiffness_z is not None and not (len(self.stiffness_z) == LEGS and min(self.stiffness_z) > 0.0):
-            raise SagError(f"stiffness_z is {list(self.stiffness_z)} N/m, need six positive constants")
+        constants = self.stiffness_z
+        if constants is not None and not (len(constants) == LEGS and all(0.0 < k < np.inf for k in constants)):
+            raise SagError(f"stiffness_z is {list(constants)} N/m, need six finite positive constants")
         if self.method not in METHODS:
             raise SagError(f"sag method {self.method!r} is not one of {', '.join(METHODS)}")
         if not 0.0 <= self.terrain_raise <= 1.0:

@@ -21,9 +21,11 @@ from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import Joints, PerLeg, Points3, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_coms import leg_coms_in_hex
 from athlete_twin.model.spec import LEGS
-from planner.sag.sag_model import AIRBORNE, DOWN, SOFT_CONTACT, FootSprings, solve_sag
-from planner.stability.stability_map import leg_coms_in_hex
+from planner.sag.firmness import Hinge, is_firm
+from planner.sag.sag_model import AIRBORNE, DOWN, MAX_TILT, SOFT_CONTACT, FootSprings, levelling, solve_sag
+from planner.sag.spring_equations import spring_forces
 
 TWIST = np.array([0.0, 1.0, 0.0])
 """axis of a dock's twist in hex: across its plane, the Tri-ATHLETEs lying left and right of the pallet"""
@@ -62,7 +64,8 @@ class DockedSag:
     forces: Wheels
     """of the ground on the feet, in the unsagged hex frame, shape (6, 3) [N]"""
     status: str
-    """as of `SagSolution`; that of the rigid robot where it does not stand"""
+    """as of `SagSolution`; that of the rigid robot where it does not stand. It also tips where a deck or the pallet turns by
+    more than `MAX_TILT`, or over on a dock that does not hold it upright"""
     pieces: tuple[Piece, ...]
 
     @property
@@ -164,7 +167,7 @@ def solve_docked(
         feet_in_hex, com_in_hex, weight, stiffness_z=stiffness_z, lateral_ratio=lateral_ratio, lifts=lifts,
         gravity_in_hex=gravity_in_hex,
     )  # fmt: skip
-    springs = FootSprings(stiffness_z=stiffness_z, lateral_ratio=lateral_ratio)
+    level_from_hex, stiffness, above = levelling(gravity_in_hex), np.array(stiffness_z, dtype=float), np.array(lifts, dtype=float)
     down = np.asarray(gravity_in_hex, dtype=float) / np.linalg.norm(gravity_in_hex)
     hanging = GRAVITY * sum(piece.mass for piece in pieces)
     if hanging >= weight:
@@ -172,14 +175,21 @@ def solve_docked(
     weights = np.array([*(GRAVITY * piece.mass for piece in pieces), weight - hanging])
     moments = sum((w * piece.com_in_hex for w, piece in zip(weights[:-1], pieces, strict=True)), np.zeros(3))
     coms = np.array([*(piece.com_in_hex for piece in pieces), (weight * com_in_hex - moments) / weights[-1]])
+    owners, loads = np.array([*(piece.legs[0] for piece in pieces), -1]), weights[:, None] * down
     size = float(np.linalg.norm(feet_in_hex - feet_in_hex.mean(axis=0), axis=1).mean())
+
+    def pressed(feet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forces (6, 3) on feet [N] and what their springs are as they stand, shape (6, 3, 3) [N/m]."""
+        moved = (feet - feet_in_hex) @ level_from_hex.T
+        forces, side, _, bears = spring_forces(moved, stiffness, lateral_ratio, above, True, SOFT_CONTACT)
+        along = np.column_stack([side, side, np.where(bears, stiffness, 0.0)])
+        return forces @ level_from_hex, level_from_hex.T @ (along[:, :, None] * level_from_hex)
 
     def balance(x: np.ndarray) -> np.ndarray:
         pose, twists = _pose(x), x[6:]
         feet = _placed(feet_in_hex, np.arange(LEGS), pose, pieces, twists)
-        forces = _foot_forces(feet - feet_in_hex, springs, lifts, -down)
-        centres = _placed(coms, np.array([*(piece.legs[0] for piece in pieces), -1]), pose, pieces, twists)
-        loads = weights[:, None] * down
+        forces, _ = pressed(feet)
+        centres = _placed(coms, owners, pose, pieces, twists)
         about = pose.translation
         total = forces.sum(axis=0) + loads.sum(axis=0)
         moment = np.cross(feet - about, forces).sum(axis=0) + np.cross(centres - about, loads).sum(axis=0)
@@ -194,12 +204,22 @@ def solve_docked(
     start = rigid.unsagged_from_sagged
     begin = np.concatenate([start.translation, start.rotvec(), np.zeros(len(pieces))])
     found = root(balance, begin, jac=lambda x: _derivative(balance, x), method="hybr", options={"xtol": 1e-12})
-    moved = _placed(feet_in_hex, np.arange(LEGS), _pose(found.x), pieces, found.x[6:]) - feet_in_hex
-    balanced = "converged" if np.abs(found.fun).max() < BALANCED else "not_converged"
-    return DockedSag(
-        unsagged_from_sagged=_pose(found.x), twists=found.x[6:], pieces=pieces,
-        forces=_foot_forces(moved, springs, lifts, -down), status=balanced if rigid.converged else rigid.status,
-    )  # fmt: skip
+    pose, twists = _pose(found.x), found.x[6:]
+    feet = _placed(feet_in_hex, np.arange(LEGS), pose, pieces, twists)
+    forces, bearing = pressed(feet)
+    status = rigid.status
+    if rigid.converged and not np.abs(found.fun).max() < BALANCED:
+        status = "not_converged"
+    elif rigid.converged and (forces != 0.0).any(axis=1).sum() < 3:
+        status = "too_few_feet"
+    elif rigid.converged:
+        points = np.vstack([feet, _placed(coms, owners, pose, pieces, twists)])
+        springs = np.concatenate([bearing, np.zeros((len(coms), 3, 3))])
+        firm = is_firm(points, np.vstack([forces, loads]), springs, _hung(pieces), _hinges(pose, pieces, twist_stiffness), size)
+        turns = [pose.rotation, *(pose.compose(_hinge(p, float(t))).rotation for p, t in zip(pieces, twists, strict=True))]
+        upright = min(float(down @ turn @ down) for turn in turns) >= np.cos(MAX_TILT)
+        status = "converged" if upright and firm else "tips"
+    return DockedSag(unsagged_from_sagged=pose, twists=twists, forces=forces, status=status, pieces=pieces)
 
 
 def lift_off(
@@ -245,6 +265,20 @@ def _placed(points: np.ndarray, legs: np.ndarray, pose: SE3, pieces: tuple[Piece
     return pose.apply(out)
 
 
+def _hung(pieces: tuple[Piece, ...]) -> np.ndarray:
+    """Index of the piece that each foot, each piece's centre of mass and the pallet's (-1) belongs to, shape (7 + n,)."""
+    hung = np.full(LEGS + len(pieces) + 1, -1)
+    for number, piece in enumerate(pieces):
+        hung[[*piece.legs, LEGS + number]] = number
+    return hung
+
+
+def _hinges(pose: SE3, pieces: tuple[Piece, ...], stiffness: float) -> tuple[Hinge, ...]:
+    """The docks of a robot that stands at a pose."""
+    places = ((pose.rotate(p.axis_in_hex), pose.apply(p.place_in_hex)) for p in pieces)
+    return tuple(Hinge(axis=axis, through=through, stiffness=stiffness) for axis, through in places)
+
+
 def _derivative(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
     """By central differences of one absolute step: unknowns that are zero at the start need no smaller one."""
     steps = STEP * np.eye(len(x))
@@ -259,13 +293,3 @@ def _hinge(piece: Piece, twist: float) -> SE3:
     """Turns points of a piece about its dock's axis."""
     turn = SE3.from_rotvec(twist * piece.axis_in_hex, np.zeros(3))
     return SE3(turn.rotation, piece.place_in_hex - turn.rotation @ piece.place_in_hex)
-
-
-def _foot_forces(moved: np.ndarray, springs: FootSprings, lifts: np.ndarray, up: np.ndarray) -> np.ndarray:
-    """Forces of the ground on feet moved from their unsagged places (6, 3) [m], shape (6, 3) [N]; eqs 10-12."""
-    along = moved @ up
-    compression = np.maximum(-along - np.asarray(lifts, dtype=float), 0.0)
-    s = np.minimum(compression / SOFT_CONTACT, 1.0)
-    side = springs.lateral_ratio * springs.stiffness_z * s * s * (3.0 - 2.0 * s)
-    sideways = moved - along[:, None] * up
-    return np.asarray((springs.stiffness_z * compression)[:, None] * up - side[:, None] * sideways)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import Joints, Vec3
 from athlete_twin.geometry.se3 import SE3
@@ -36,6 +38,8 @@ class PoseConfig:
                 raise SagError(f"{name} is {value}, must be within 0 to {limit}")
         if not 0.0 <= self.min_load_fraction < 1.0 / LEGS:
             raise SagError(f"min_load_fraction is {self.min_load_fraction}, must be within 0 to 1/{LEGS}")
+        if self.min_margin is not None and not np.isfinite(self.min_margin):
+            raise SagError(f"min_margin is {self.min_margin} m, must be finite, or None for the drawings'")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

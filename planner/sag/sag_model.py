@@ -24,7 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import SagError
-from athlete_twin.geometry.arrays import PerLeg, PerLegFlag, Vec3, Wheels
+from athlete_twin.geometry.arrays import Mat3, PerLeg, PerLegFlag, Vec3, Wheels
 from athlete_twin.geometry.polygon import signed_distance
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import RobotSpec
@@ -89,6 +89,7 @@ class SagSolution:
     status: str
     """"converged"; "tips": the CoM is outside the feet that could carry, the chassis turns by more than `MAX_TILT`, or the
     forces balance like a pencil on its tip, as over feet on one line: the least push makes it fall;
+    "pulls": of `solve_loaded` alone, the ground would have to hold a foot down, so that it is not loaded in truth;
     "too_few_feet": fewer than three carry; "not_converged": the iteration ended elsewhere"""
 
     @property
@@ -119,33 +120,39 @@ def solve_sag(
         lifts: height of each unsagged foot above the place where its spring begins to bear, shape (6,) [m]. Positive
             lifted (eq. 9), `AIRBORNE` out of the way; negative pressed in already, as after a touchdown that went on.
         gravity_in_hex: where gravity points; any length.
-        start: a solution of a neighbouring problem to begin from.
+        start: a solution of a neighbouring problem to begin from. One that is not converged is not begun from, and where
+            one leads to no solution a cold start is tried: it changes how long a solution takes, not whether there is one.
     """
     springs = FootSprings(stiffness_z=stiffness_z, lateral_ratio=lateral_ratio)
     lifts = np.asarray(lifts, dtype=float)
     if lifts.shape != (6,) or np.isnan(lifts).any() or np.isneginf(lifts).any():
         raise SagError(f"lifts are {lifts}, need six heights [m], or AIRBORNE")
-    level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
+    _check(feet_in_hex, com_in_hex, weight)
+    level_from_hex = levelling(gravity_in_hex)
     feet, com = feet_in_hex @ level_from_hex.T, level_from_hex @ com_in_hex
     # Copies: numba compiles once more for arrays that are read-only or not contiguous.
     feet, stiffness, lifts, spent = np.ascontiguousarray(feet), springs.stiffness_z.copy(), lifts.copy(), 0
-    if start is None:
-        begin = np.zeros((7, 3))
-        begin[:, 2] = -even_sink(stiffness, lifts, float(weight))
-    else:
-        begin = np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T
-    for softness in ((SOFT_CONTACT,), SOFTENED):
-        moved = begin
-        for soft in softness:
-            moved, forces, residual, iterations, firm = levenberg_marquardt(
-                feet, com, weight, stiffness, lateral_ratio, lifts, True, soft, moved
-            )
-            spent += iterations
-        if residual <= TOLERANCE:
+    cold = np.zeros((7, 3))
+    cold[:, 2] = -even_sink(stiffness, lifts, float(weight))
+    begins = [cold]
+    if start is not None and start.converged:
+        begins.insert(0, np.vstack([start.displacements, start.com_displacement]) @ level_from_hex.T)
+    for begin in begins:
+        for softness in ((SOFT_CONTACT,), SOFTENED):
+            moved = begin
+            for soft in softness:
+                moved, forces, residual, iterations, firm = levenberg_marquardt(
+                    feet, com, weight, stiffness, lateral_ratio, lifts, True, soft, moved
+                )
+                spent += iterations
+            if residual <= TOLERANCE:
+                break
+        found = _solution(
+            feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, firm, level_from_hex
+        )
+        if found.converged:
             break
-    return _solution(
-        feet_in_hex, com_in_hex, moved @ level_from_hex, forces @ level_from_hex, lifts, residual, spent, firm, level_from_hex
-    )
+    return found
 
 
 def solve_loaded(
@@ -162,7 +169,7 @@ def solve_loaded(
 
     Only loaded feet enter the equations. Unknowns are their forces and the CoM; each force is held as the displacement
     force / k of eq. 3, which brings all unknowns to one size and changes nothing else. A loaded foot's spring also
-    pulls: this form cannot know that a foot lifts itself off.
+    pulls: this form cannot let a foot go by itself, but says that one pulls.
 
     Args:
         feet_in_hex: where the springs hold the feet, unsagged, shape (6, 3) [m].
@@ -179,7 +186,8 @@ def solve_loaded(
         raise SagError(f"flags of loaded feet have shape {loaded.shape}, need (6,)")
     if count < 3:
         raise SagError(f"{count} loaded feet carry no robot, at least 3 do")
-    level_from_hex = _level_from_hex(feet_in_hex, com_in_hex, weight, gravity_in_hex)
+    _check(feet_in_hex, com_in_hex, weight)
+    level_from_hex = levelling(gravity_in_hex)
     feet, com = feet_in_hex[loaded] @ level_from_hex.T, level_from_hex @ com_in_hex
     stiffness = springs.stiffness_z[loaded]
     begin = np.zeros((count + 1, 3))
@@ -200,22 +208,25 @@ def solve_loaded(
     )
 
 
-def _level_from_hex(feet: np.ndarray, com: np.ndarray, weight: float, gravity: np.ndarray) -> np.ndarray:
-    """Checks the arguments; rotation to a frame whose z axis points against gravity."""
-    if feet.shape != (6, 3) or com.shape != (3,) or not (np.isfinite(feet).all() and np.isfinite(com).all()):
-        raise SagError(f"feet and CoM have shapes {feet.shape} and {com.shape}, need finite (6, 3) and (3,)")
-    if not (np.isfinite(weight) and weight > 0.0):
-        raise SagError(f"weight is {weight} N, must be positive")
-    size = math.sqrt(gravity @ gravity)
+def levelling(gravity_in_hex: Vec3) -> Mat3:
+    """Rotation from hex to a frame whose z axis points against gravity."""
+    size = math.sqrt(gravity_in_hex @ gravity_in_hex)
     if not (np.isfinite(size) and size > 0.0):
-        raise SagError(f"gravity is {gravity}, must be finite with a length")
-    up = -np.asarray(gravity, dtype=float) / size
+        raise SagError(f"gravity is {gravity_in_hex}, must be finite with a length")
+    up = -np.asarray(gravity_in_hex, dtype=float) / size
     # Cross products written out: numpy's cost as much as the whole iteration.
     x, y, z = up
     side = np.array([0.0, z, -y] if abs(x) < 0.9 else [-z, 0.0, x])
     side /= math.sqrt(side @ side)
     a, b, c = side
     return np.array([[b * z - c * y, c * x - a * z, a * y - b * x], side, up])
+
+
+def _check(feet: np.ndarray, com: np.ndarray, weight: float) -> None:
+    if feet.shape != (6, 3) or com.shape != (3,) or not (np.isfinite(feet).all() and np.isfinite(com).all()):
+        raise SagError(f"feet and CoM have shapes {feet.shape} and {com.shape}, need finite (6, 3) and (3,)")
+    if not (np.isfinite(weight) and weight > 0.0):
+        raise SagError(f"weight is {weight} N, must be positive")
 
 
 def _rigid_fit(before: np.ndarray, after: np.ndarray) -> SE3:
@@ -247,8 +258,8 @@ def _solution(
     if pose is None:
         pose = _rigid_fit(np.vstack([feet, com]), np.vstack([feet, com]) + displacements)
     status = "converged"
+    can_carry = np.isfinite(lifts)
     if residual > TOLERANCE:
-        can_carry = np.isfinite(lifts)
         status = "tips" if _tips(feet[can_carry] @ level_from_hex.T, level_from_hex @ com) else "not_converged"
         if can_carry.sum() < 3:
             status = "too_few_feet"
@@ -256,6 +267,8 @@ def _solution(
         status = "too_few_feet"
     elif not firm or float(up @ pose.rotation @ up) < np.cos(MAX_TILT):
         status = "tips"
+    elif float((forces @ up).min()) < -TOLERANCE * float(np.abs(forces @ up).sum()):
+        status = "tips" if _tips(feet[can_carry] @ level_from_hex.T, level_from_hex @ com) else "pulls"
     return SagSolution(
         forces=forces,
         displacements=displacements[:6],

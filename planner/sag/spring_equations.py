@@ -37,8 +37,12 @@ def even_sink(stiffness, lifts, weight):
 
 @njit(cache=True)
 @no_type_check
-def _spring_forces(d, stiffness, lateral_ratio, lifts, unilateral, soft):
-    """Forces on n feet displaced by d, and what their derivative needs: horizontal stiffness now, and its change."""
+def spring_forces(d, stiffness, lateral_ratio, lifts, unilateral, soft):
+    """Forces on n feet displaced by d, z upward, and what their derivative needs: horizontal stiffness now, its change, who bears.
+
+    The one place of the spring law, eqs 10-12 (`unilateral`) or eq. 3: d (n, 3), lifts (n,) and soft in metres, all float64
+    and writable; forces (n, 3) [N], horizontal stiffness (n,) [N/m] and its derivative by compression, flags (n,).
+    """
     n = stiffness.shape[0]
     forces, side, change = np.zeros((n, 3)), np.zeros(n), np.zeros(n)
     bears = np.zeros(n, dtype=np.bool_)
@@ -70,7 +74,7 @@ def spring_equations(x, r0, weight, stiffness, lateral_ratio, lifts, unilateral,
     n = stiffness.shape[0]
     d = x * scale
     p = r0 + d
-    forces, side, change, bears = _spring_forces(d[:n], stiffness, lateral_ratio, lifts, unilateral, soft)
+    forces, side, change, bears = spring_forces(d[:n], stiffness, lateral_ratio, lifts, unilateral, soft)
     res[:] = 0.0
     jac[:, :] = 0.0
     # Eq. 4 over the weight, eq. 5 over weight and size.
@@ -208,7 +212,7 @@ def levenberg_marquardt(feet, com, weight, stiffness, lateral_ratio, lifts, unil
                 break
             damping = max(8.0 * damping, 1e-9)
     d = x * scale
-    forces, side, _, bears = _spring_forces(d[:n], stiffness, lateral_ratio, lifts, unilateral, soft)
+    forces, side, _, bears = spring_forces(d[:n], stiffness, lateral_ratio, lifts, unilateral, soft)
     return d, forces, np.max(np.abs(res)), iteration, _firm(r0 + d, forces, side, stiffness, bears, size)
 
 

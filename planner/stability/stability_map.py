@@ -11,15 +11,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from athlete_twin.errors import SupportError
 from athlete_twin.geometry.arrays import Joints, Points3
 from athlete_twin.geometry.polygon import conservative_distances, signed_distances
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import Kinematics
+from athlete_twin.model.leg_coms import leg_coms_in_hex
 from athlete_twin.model.reach import leg_ik
-from athlete_twin.model.spec import RobotSpec
 from planner.stability.margin import MARGINS, cps_tip_over_energy
 
 REASONS = ("ok", "unknown", "unreachable", "unreachable_above", "swing_margin", "landed_margin")
@@ -159,22 +158,3 @@ def com_with_leg(kinematics: Kinematics, joints: Joints, leg: int, q: np.ndarray
     now = leg_coms_in_hex(spec, leg, joints[leg : leg + 1])[0]
     rest = mass * kinematics.com_in_hex(joints, payload_kg) - leg_mass * now
     return np.asarray((rest + leg_mass * leg_coms_in_hex(spec, leg, q)) / mass)
-
-
-def leg_coms_in_hex(spec: RobotSpec, leg: int, q: np.ndarray) -> np.ndarray:
-    """Centre of mass of one leg with its wheel in each of n configurations (n, dof), shape (n, 3), in hex [m].
-
-    The same as Pinocchio's, for many configurations at once.
-    """
-    angles = np.where(np.isfinite(q), q, 0.0)
-    turn = Rotation.from_euler("z", np.full((len(q), 1), spec.hip_azimuths[leg]))
-    at = np.broadcast_to(spec.hips_in_hex[leg], (len(q), 3))
-    moment, mass = np.zeros((len(q), 3)), 0.0
-    for place, joint in enumerate(spec.joints):
-        at = at + turn.apply(np.array(joint.offset))
-        turn = turn * Rotation.from_rotvec(angles[:, place, None] * joint.axis)
-        moment += joint.link_mass * (at + turn.apply(np.array(joint.link_com)))
-        mass += joint.link_mass
-    moment += spec.wheel.mass * (at + turn.apply(np.array(spec.wheel.offset)))
-    out = moment / (mass + spec.wheel.mass)
-    return np.where(np.isfinite(q).all(axis=1)[:, None], out, np.nan)

@@ -67,8 +67,8 @@ def test_constants_measured_on_a_robot_take_the_place_of_the_drawings():
     measured = [61e3, 48e3, 60e3, 62e3, 45e3, 64e3]
     config = planner_config(base | {"settings": {"sag": {"stiffness_z": measured}}}, spec, name="x")
     assert config.step.sag.springs(spec).stiffness_z.tolist() == measured
-    for wrong in ([1.0, 2.0], [61e3, 48e3, 60e3, 62e3, 0.0, 64e3]):
-        with pytest.raises(ConfigError, match=r"\[settings.sag\] stiffness_z is .*, need six positive constants"):
+    for wrong in ([1.0, 2.0], [61e3, 48e3, 60e3, 62e3, 0.0, 64e3], [61e3, 48e3, float("nan"), 62e3, 45e3, 64e3]):
+        with pytest.raises(ConfigError, match=r"\[settings.sag\] stiffness_z is .*, need six finite positive constants"):
             planner_config(base | {"settings": {"sag": {"stiffness_z": wrong}}}, spec, name="x")
 
 

@@ -215,3 +215,27 @@ def test_measured_sag_is_what_the_chassis_does_while_the_leg_is_in_the_air():
     measured = report_sag.measured_sags(trial)
     assert measured[0] == pytest.approx(0.03)
     assert np.isnan(measured[1:]).all()
+
+
+def _lifted_first(*, stood_from):
+    """Leg 2 goes up at 2 s by a proposal of its own, 4 cm of sag; at 4 s its step is decided, it comes down at 8 s."""
+    times = np.arange(0.0, 10.0, 0.5)
+    in_air = (times >= 2.0) & (times < 8.0)
+    proposals = tuple(
+        SimpleNamespace(kind=kind, decision="approve", t=t, decided=t + 0.5, leg=1) for kind, t in (("shift", 1.0), ("step", 3.5))
+    )
+    phases = [("stance", "swing" if up or t < stood_from else "stance") for up, t in zip(in_air, times, strict=True)]
+    poses = [SE3.from_rpy(0.0, 0.0, 0.0, np.array([0.0, 0.0, 1.7 - 0.04 * up])) for up in in_air]
+    return SimpleNamespace(
+        proposals=proposals, spec=load_spec("sdm_b"), track=SimpleNamespace(t=times, world_from_hex=poses),
+        states=SimpleNamespace(t=times, phases=phases),
+    )  # fmt: skip
+
+
+def test_sag_of_a_leg_that_was_up_when_its_step_was_decided_counts_from_where_it_last_stood():
+    measured = report_sag.measured_sags(_lifted_first(stood_from=0.0))
+    assert np.isnan(measured[0]) and measured[1] == pytest.approx(0.04)
+
+
+def test_sag_of_a_leg_that_never_stood_before_its_step_is_left_out():
+    assert np.isnan(report_sag.measured_sags(_lifted_first(stood_from=5.0))).all()

@@ -135,6 +135,11 @@ def test_wrong_use_is_refused():
         SagConfig(method="magic")
     with pytest.raises(SagError, match="raised by 3"):
         SagConfig(terrain_raise=3.0)
+    for bad in (np.nan, np.inf, -K, 0.0):
+        with pytest.raises(SagError, match=r"stiffness_z is .*(nan|inf|-25000|0\.0).*, need six finite positive"):
+            SagConfig(stiffness_z=(K, K, bad, K, K, K))
+    with pytest.raises(SagError, match="need six finite positive"):
+        SagConfig(stiffness_z=(K,) * 5)
     with pytest.raises(SagError, match="leg index 6"):
         _predict(leg=6)
     with pytest.raises(SagError, match="leg index -1"):

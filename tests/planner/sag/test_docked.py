@@ -54,32 +54,54 @@ def test_rigid_docks_give_the_rigid_robots_sag(legs):
     np.testing.assert_allclose(docked.forces, rigid.forces, atol=0.01)
 
 
-@pytest.mark.parametrize("legs", [(), (0,), (1,), (0, 3)])
-def test_the_solution_has_the_least_energy(legs):
-    """Springs of feet and docks and the weight's height, minimised without any equation of balance."""
-    lifts = _lifted(*legs)
-    found = _solve(lifts)
+def _energy(lifts, twist=TWIST):
+    """Springs of feet and docks and the weight's height, by all unknowns in centimetres and hundredths of radians, over 100."""
     masses = np.array([p.mass for p in PIECES])
     pallet = (SPEC.mass * COM - sum(p.mass * p.com_in_hex for p in PIECES)) / (SPEC.mass - masses.sum())
 
     def energy(x):
         pose = SE3.from_rotvec(0.01 * x[3:6], 0.01 * x[:3])
         hinges = []
-        for p, twist in zip(PIECES, 0.01 * x[6:], strict=True):
-            turn = SE3.from_rotvec(twist * p.axis_in_hex, np.zeros(3))
+        for p, turned in zip(PIECES, 0.01 * x[6:], strict=True):
+            turn = SE3.from_rotvec(turned * p.axis_in_hex, np.zeros(3))
             hinges.append(SE3(turn.rotation, p.place_in_hex - turn.rotation @ p.place_in_hex))
         feet = np.array([pose.apply(hinges[0 if leg < 3 else 1].apply(FEET[leg])) for leg in range(6)])
         moved = feet - FEET
         compression = np.maximum(-moved[:, 2] - lifts, 0.0)
-        out = 0.5 * np.sum(K * compression**2) + 0.5 * TWIST * np.sum((0.01 * x[6:]) ** 2)
+        out = 0.5 * np.sum(K * compression**2) + 0.5 * twist * np.sum((0.01 * x[6:]) ** 2)
         out += 0.5 * np.sum((RATIO * K * (compression > 0.0))[:, None] * moved[:, :2] ** 2)
         for p, hinge in zip(PIECES, hinges, strict=True):
             out += p.mass * GRAVITY * pose.apply(hinge.apply(p.com_in_hex))[2]
         return (out + (SPEC.mass - masses.sum()) * GRAVITY * pose.apply(pallet)[2]) / 100.0
 
-    at = np.concatenate([found.unsagged_from_sagged.translation, found.unsagged_from_sagged.rotvec(), found.twists]) / 0.01
-    best = minimize(energy, at + 0.05, method="BFGS", options={"gtol": 1e-7})
+    return energy
+
+
+def _unknowns(found):
+    return np.concatenate([found.unsagged_from_sagged.translation, found.unsagged_from_sagged.rotvec(), found.twists]) / 0.01
+
+
+@pytest.mark.parametrize("legs", [(), (0,), (1,), (0, 3)])
+def test_the_solution_has_the_least_energy(legs):
+    """Minimised without any equation of balance."""
+    lifts = _lifted(*legs)
+    at = _unknowns(_solve(lifts))
+    best = minimize(_energy(lifts), at + 0.05, method="BFGS", options={"gtol": 1e-7})
     np.testing.assert_allclose(0.01 * best.x, 0.01 * at, atol=5e-5)
+
+
+@pytest.mark.parametrize("legs", [(), (0,), (0, 2)])
+@pytest.mark.parametrize("twist", [1e2, 3e3, 1e4, 3e4, 1e5, TWIST])
+def test_what_its_docks_do_not_hold_upright_tips(legs, twist):
+    """On soft docks the pallet turns over between the decks: what is no minimum of the energy holds nothing; the rest does."""
+    found, energy = _solve(_lifted(*legs), twist=twist), _energy(_lifted(*legs), twist)
+    at, step = _unknowns(found), 0.02 * np.eye(8)
+    curvature = np.array(
+        [[energy(at + a + b) - energy(at + a - b) - energy(at - a + b) + energy(at - a - b) for b in step] for a in step]
+    )
+    least = np.linalg.eigvalsh(curvature)[0] / 0.04**2
+    assert abs(least) > 1e-5
+    assert found.status == ("converged" if least > 0.0 else "tips")
 
 
 def test_a_pallet_corners_leg_drops_its_corner_more_than_a_rigid_deck_can():
@@ -160,4 +182,10 @@ def test_wrong_use_is_refused():
         )
     with pytest.raises(SagError, match="needs its own"):
         identify_docks([_measured((), 55e3, 5e5)], [()], start=40e3)
-    assert not _solve(_lifted(0, 1, 2, 5)).converged
+
+
+def test_what_cannot_stand_says_why():
+    assert _solve(_lifted(0, 1, 2, 5)).status == "too_few_feet"
+    aside = COM + [5.0, 0.0, 0.0]
+    arguments = dict(pieces=PIECES, twist_stiffness=TWIST, stiffness_z=K, lateral_ratio=RATIO, lifts=_lifted())
+    assert solve_docked(FEET, aside, WEIGHT, **arguments).status == "tips"

@@ -301,6 +301,11 @@ def test_wrong_use_is_refused():
         PoseConfig(max_shift=-1.0)
     with pytest.raises(SagError, match=r"min_load_fraction is 0\.5"):
         PoseConfig(min_load_fraction=0.5)
+    for bad in (np.nan, np.inf, -np.inf):
+        with pytest.raises(SagError, match=r"min_margin is -?(nan|inf) m, must be finite, or None"):
+            PoseConfig(min_margin=bad)
+    with pytest.raises(SagError, match="max_rise is nan"):
+        PoseConfig(max_rise=np.nan)
     with pytest.raises(SagError, match="six positive"):
         _optimise("sdm_b", 0, springs=FootSprings(stiffness_z=-np.ones(6), lateral_ratio=0.5))
 

@@ -300,6 +300,38 @@ def test_a_warm_start_gives_the_same_answer_in_fewer_iterations():
     assert _solve(lifts=lifts, start=cold).iterations == 0
 
 
+def _random_stance(rng):
+    """As a walking robot meets them, and now and then one that falls: the CoM up to 2 m off, up to two legs in the air."""
+    lifts = rng.normal(0.0, 0.02, 6)
+    lifts[rng.permutation(6)[: rng.integers(3)]] = AIRBORNE
+    aside = rng.uniform(0.0, 2.0) * np.array([np.cos(turn := rng.uniform(0.0, 2 * np.pi)), np.sin(turn), 0.0])
+    return {
+        "feet": FEET + rng.normal(0.0, 0.15, (6, 3)), "com": COM + aside, "stiffness": rng.uniform(15e3, 30e3, 6), "lifts": lifts
+    }  # fmt: skip
+
+
+def test_a_warm_start_never_makes_a_solution_worse_or_another_one():
+    """Each stance begun from the one before, whatever became of that, against the same begun cold."""
+    rng = np.random.default_rng(8)
+    before, kinds = None, []
+    for _ in range(300):
+        stance = _random_stance(rng)
+        cold, warm = _solve(**stance), _solve(**stance, start=before)
+        assert warm.status == cold.status
+        if cold.converged:
+            assert warm.displacements == pytest.approx(cold.displacements, abs=MICROMETRE)
+        kinds.append((before is not None and before.converged, cold.converged))
+        before = warm
+    assert min(kinds.count(kind) for kind in itertools.product((True, False), repeat=2)) > 10
+
+
+def test_a_start_that_is_no_solution_is_not_begun_from():
+    fallen = _solve(com=COM + [2.5, 0.0, 0.0])
+    assert not fallen.converged
+    cold, warm = _solve(lifts=_lifted(1)), _solve(lifts=_lifted(1), start=fallen)
+    assert warm.displacements == pytest.approx(cold.displacements, abs=0.0) and warm.iterations == cold.iterations
+
+
 def test_a_soft_foot_sinks_its_corner():
     stiffness = EVEN.copy()
     stiffness[1] *= 0.7
@@ -312,6 +344,20 @@ def test_what_cannot_stand_says_so():
     assert _solve(lifts=_lifted(0, 1, 5)).status in ("tips", "not_converged")
     assert _solve(lifts=_lifted(0, 1, 2, 3)).status == "too_few_feet"
     assert not _solve(lifts=_lifted(0, 1, 2, 3, 4, 5)).converged
+
+
+def test_feet_taken_as_loaded_that_would_have_to_pull_say_so():
+    """On even vertical springs loads lie on a plane over the places: with the CoM near one side that plane dips below zero."""
+    four, com = ~np.isin(np.arange(6), (1, 4)), LOW_COM + [0.72 * R, 0.0, 0.0]
+    assert signed_distance(com[:2].copy(), FEET[four, :2].copy()) > 0.2
+    plane = np.column_stack([np.ones(4), FEET[four, :2]])
+    expected = W * plane @ np.linalg.solve(plane.T @ plane, [1.0, com[0], com[1]])
+    pulling = solve_loaded(FEET, com, W, stiffness_z=EVEN, lateral_ratio=0.5, loaded=four)
+    assert expected.min() < -0.05 * W
+    assert pulling.forces[four, 2] == pytest.approx(expected, abs=0.02 * W)
+    assert pulling.status == "pulls" and not pulling.converged
+    outside = solve_loaded(FEET, LOW_COM + [0.3, 2.0, 0.0], W, stiffness_z=EVEN, lateral_ratio=0.5, loaded=four)
+    assert outside.forces[:, 2].min() < 0.0 and outside.status == "tips"
 
 
 def test_a_mass_higher_than_the_springs_can_hold_upright_tips():

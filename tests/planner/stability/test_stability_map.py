@@ -10,7 +10,6 @@ from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import (
     REASONS,
     StabilityConfig,
-    leg_coms_in_hex,
     stability_map,
 )
 
@@ -43,21 +42,6 @@ def _judge(standing, leg=1, **changes):
         robot, joints, leg=leg, footfalls_in_world=places, world_from_hex=world_from_hex, config=config, lift=0.2
     )
     return places, judged
-
-
-def test_the_vectorised_leg_equals_pinocchio(standing):
-    robot, joints, _ = standing
-    rng = np.random.default_rng(2)
-    spec = robot.spec
-    leg_mass = sum(j.link_mass for j in spec.joints) + spec.wheel.mass
-    q = rng.uniform(-1.0, 1.0, (4, spec.dof))
-    for leg in range(6):
-        now = leg_coms_in_hex(spec, leg, joints[leg : leg + 1])[0]
-        for row, com in zip(q, leg_coms_in_hex(spec, leg, q), strict=True):
-            moved = joints.copy()
-            moved[leg] = row
-            change = spec.mass * (robot.com_in_hex(moved) - robot.com_in_hex(joints))
-            assert leg_mass * (com - now) == pytest.approx(change, abs=spec.mass * MICROMETRE)
 
 
 def test_margins_equal_those_of_each_stance_computed_alone(standing):
