@@ -19,8 +19,9 @@ from planner.gait.skeleton import reverse_wave
 from planner.stability.rigid_stance import FLAT, Footing, Stances, rigid_stances
 
 ALL_DOWN = np.ones(LEGS, dtype=bool)
-SWING = ((0.0, 0.0), (0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (1.0, 0.0))
-"""where a swinging wheel is judged: how far along its step, and how much of the lift; the first and last barely off the ground"""
+SWING = ((0.0, 0.0), (0.0, 1.0), (0.5, 1.0), (1.0, 1.0), (1.0, 0.0), (1.0, -0.15))
+"""where a swinging wheel is judged: how far along its step, and how much of the lift; barely off the ground before and after,
+and last below it, where a guarded descent still feels for ground: 5 cm on both robots"""
 SHIFT = (0.25, 0.5, 0.75)
 """where a shift of the chassis is judged besides its ends"""
 LIFT = 0.2
