@@ -51,6 +51,11 @@ def row(
     }  # fmt: skip
 
 
+def refusal(what: str, reason: str) -> Row:
+    """A row that says "no": what was to be measured could not be, and why, so that the rest is told nevertheless."""
+    return row(f"{what}: no, {' '.join(reason.split())}", 0.0, "1", target=">= 1")
+
+
 def meets(value: float, target: str) -> bool:
     """Whether a figure is what a target such as "<= 1.0" or "0.85 - 0.95" asks for."""
     sign, _, limit = target.partition(" ")

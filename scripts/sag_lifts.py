@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from sag_yard import Reading, SagYard
+from sag_yard import Reading, SagYard, StanceRefusedError
 
 from athlete_twin.athlete import TruthState
 from athlete_twin.model.spec import LEGS
@@ -71,6 +71,9 @@ def lift_curve(yard: SagYard, leg: int, *, by: float) -> LiftCurve:
     yard.put_down(leg, slow=SLOW, watch=watch)
     falling = np.array(samples)
     bears, meets = np.flatnonzero(rising[:, 2] > 0.0), np.flatnonzero(falling[:, 2] > 0.0)
+    if not (len(bears) and len(meets)):
+        way = "up" if not len(bears) else "down"
+        raise StanceRefusedError(f"the wheel bore no load on its way {way}, commanded over {by} m: it must stand before and after")
     return LiftCurve(
         leg=leg, commanded=rising[:, 0], clearance=rising[:, 1],
         leaves_at=float(rising[bears[-1], 0]), touches_at=float(falling[meets[0], 0]),

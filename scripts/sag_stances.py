@@ -2,7 +2,8 @@
 
 Calibration: all wheels down, each leg lifted, opposite legs lifted, from the regular stance. Judgement: before each
 stance one foot is put elsewhere and the chassis is moved, lowered, tilted and turned at random; then none, one or two legs are
-lifted, in turn. What the drawings say would tip or saturate is drawn again; what the robot refuses is counted.
+lifted, in turn. What the drawings say would tip or saturate is drawn again; what the robot refuses is counted. A robot that refuses a
+stance of the calibration is told as such, and costs nobody else's rows.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from sag_lifts import LiftCurve, lift_curve
 from sag_yard import DEEPEST, Reading, SagYard, StanceRefusedError
 
+from athlete_twin.errors import AthleteError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.reach import all_legs_ik, leg_ik
 from athlete_twin.model.spec import LEGS
@@ -55,36 +57,45 @@ class Individual:
     refused: tuple[str, ...]
     """why the robot did not take stances that the drawings allowed"""
     curves: tuple[LiftCurve, ...]
-    """of each leg, from the regular stance"""
+    """of each leg that did lift slowly, from the regular stance"""
+    unlifted: tuple[str, ...] = ()
+    """why others did not"""
 
 
-def measure_individual(job: tuple[str, int, int]) -> Individual:
+@dataclass(frozen=True, kw_only=True)
+class Unmeasured:
+    """A robot that did not take a stance it should be calibrated in: nothing can be said of its springs."""
+
+    robot: str
+    seed: int
+    reason: str
+
+
+def measure_individual(job: tuple[str, int, int]) -> Individual | Unmeasured:
     """Robot, seed, number of random stances: everything that is read of one individual. About 5 s a stance."""
     robot, seed, count = job
-    yard = SagYard(robot, seed)
     try:
-        calibration = tuple(_read_lifted(yard, lifted) for lifted in CALIBRATION)
-        readings: list[Reading] = []
-        refused: list[str] = []
-        curves = tuple(lift_curve(yard, leg, by=RAISED[robot]) for leg in range(LEGS))
-        rng = np.random.default_rng([seed, 4])
-        while len(readings) < count and len(refused) <= count:
+        yard = SagYard(robot, seed)
+    except AthleteError as e:
+        return Unmeasured(robot=robot, seed=seed, reason=str(e))
+    try:
+        calibration: list[Reading] = []
+        for lifted in CALIBRATION:
             try:
-                _shuffle(yard, rng)
-                readings.append(_read_lifted(yard, _drawn(lambda: _legs(yard, len(readings) % 3, rng), "legs to lift")))
-            except StanceRefusedError as e:
-                refused.append(str(e))
-                if not _recovered(yard):
-                    break
+                calibration.append(_read_lifted(yard, lifted))
+            except AthleteError as e:
+                legs = " and ".join(str(leg + 1) for leg in lifted) or "none"
+                return Unmeasured(robot=robot, seed=seed, reason=f"stance with legs lifted: {legs}: {e}")
+        curves, unlifted, stands = _lift_curves(yard)
+        random, refused = _random_readings(yard, count) if stands else ((), ())
         return Individual(
-            robot=robot, seed=seed, calibration=calibration, random=tuple(readings), refused=tuple(refused), curves=curves
+            robot=robot, seed=seed, calibration=tuple(calibration), random=random, refused=refused, curves=curves, unlifted=unlifted
         )  # fmt: skip
     finally:
         yard.close()
 
 
-def measure(
-    jobs: list[tuple[str, int, int]]) -> Iterator[Individual]:
+def measure(jobs: list[tuple[str, int, int]]) -> Iterator[Individual | Unmeasured]:
     """The individuals in the order of the jobs, on as many processes as there are cores, at most two."""
     workers = min(2, len(os.sched_getaffinity(0)), len(jobs))
     if workers < 2:
@@ -92,6 +103,36 @@ def measure(
         return
     with multiprocessing.get_context("spawn").Pool(workers, maxtasksperchild=1) as pool:
         yield from pool.imap(measure_individual, jobs)
+
+
+def _lift_curves(yard: SagYard) -> tuple[tuple[LiftCurve, ...], tuple[str, ...], bool]:
+    """Curves of all legs that lift, why others do not, and whether the robot stands on all its wheels at the end."""
+    curves: list[LiftCurve] = []
+    unlifted: list[str] = []
+    for leg in range(LEGS):
+        try:
+            curves.append(lift_curve(yard, leg, by=RAISED[yard.spec.name]))
+        except StanceRefusedError as e:
+            unlifted.append(f"leg {leg + 1}: {e}")
+            if not _recovered(yard):
+                return tuple(curves), (*unlifted, "it did not get up again: no further leg, no random stance"), False
+    return tuple(curves), tuple(unlifted), True
+
+
+def _random_readings(yard: SagYard, count: int) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+    """Random stances that were read, and why the robot did not take others."""
+    readings: list[Reading] = []
+    refused: list[str] = []
+    rng = np.random.default_rng([yard.seed, 4])
+    while len(readings) < count and len(refused) <= count:
+        try:
+            _shuffle(yard, rng)
+            readings.append(_read_lifted(yard, _drawn(lambda: _legs(yard, len(readings) % 3, rng), "legs to lift")))
+        except StanceRefusedError as e:
+            refused.append(str(e))
+            if not _recovered(yard):
+                break
+    return tuple(readings), tuple(refused)
 
 
 def _read_lifted(yard: SagYard, legs: tuple[int, ...]) -> Reading:

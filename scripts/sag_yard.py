@@ -76,7 +76,7 @@ class SagYard:
     """One individual of a robot, standing on the yard."""
 
     def __init__(self, robot: str, seed: int) -> None:
-        self.spec = load_spec(robot)
+        self.spec, self.seed = load_spec(robot), seed
         self.kin = Kinematics(self.spec)
         self.robot = Athlete(self.spec, load_scenario("calibration_yard"), seed)
         self.lifted: tuple[int, ...] = ()

@@ -203,7 +203,7 @@ def _springs(measured: Measured) -> list[Row]:
         met = bool(100.0 * error <= most)
         return make(ours=100.0 * error, published=most, target=f"<= {most}", met=met, note="; ".join(n for n in (note, tuned) if n))
 
-    bound = ", the tyre's own: the search ends there" if fit.stiffness >= spec.believed_tyre_stiffness - 1.0 else ""
+    bound = ", that of the stiffest tyre: the search ends there" if fit.at_bound else ""
     rows = [row("mean error, best constant", fit.mean, limit, f"{fit.stiffness / 1e3:.1f} kN/m{bound}")]
     largest_note = "" if spec.name == "sdm_b" else "published for SDM-B; T12 'within centimetres'"
     rows.append(row("largest error, best constant", fit.largest, 5.0, largest_note))

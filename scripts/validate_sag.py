@@ -1,14 +1,16 @@
 """The planner's contact-spring model held against the true robot's corner heights, as [SunSpiral2012] s5.1.2-5.1.3 did.
 
-The springs stand in the commanded, unsagged robot; one constant for all feet is searched over the measured stances, up to the
-tyre's own under the heaviest of them. Corners are the points where the legs are attached; of T12 these lie on decks that flex in
+The springs stand in the commanded, unsagged robot; one constant for all feet is searched over the measured stances, up to that
+of the stiffest tyre in them: legs and joints in series with a tyre only add compliance. Tyres stiffen, so it is one that
+carries most. Corners are the points where the legs are attached; of T12 these lie on decks that flex in
 truth.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from validate_runs import FOOT_RADIUS, LIFT, Rest
@@ -19,8 +21,8 @@ from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import stance_wheels_in_hex
 from planner.sag.identify import MeasuredStance, identify_stiffness, predict_heights
 
-STIFFENED = 1.25
-"""by how much a tyre is stiffer under a lifted leg's share than on six wheels, at most: there the drawings' constant is from"""
+STEP = 250.0
+"""between constants that the search tries [N/m]"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -31,6 +33,13 @@ class SagFit:
     """[N/m]"""
     errors: tuple[PerLeg, ...]
     """predicted less measured height, of every corner of every stance [m]"""
+    bound: float = math.inf
+    """where the search for it ended [N/m]; infinite when there was none"""
+
+    @property
+    def at_bound(self) -> bool:
+        """Whether the search ended at its bound: a stiffer constant might have explained more."""
+        return self.stiffness + STEP > self.bound
 
     @property
     def mean(self) -> float:
@@ -46,13 +55,25 @@ class SagFit:
 def best_fit(robot: str, rests: Sequence[Rest]) -> SagFit:
     """The constant with the least mean error over the stances, found as the planner finds it."""
     spec = load_spec(robot)
+    bound = stiffest_tyre(robot, rests)
     fit = identify_stiffness(
         [_stance(robot, rest) for rest in rests],
-        upper=STIFFENED * spec.believed_tyre_stiffness,
+        upper=bound,
         lower=0.25 * spec.believed_foot_stiffness,
+        step=STEP,
         lateral_ratio=spec.believed_lateral_ratio,
     )
-    return fit_with(robot, rests, fit.stiffness)
+    return replace(fit_with(robot, rests, fit.stiffness), bound=bound)
+
+
+def stiffest_tyre(robot: str, rests: Sequence[Rest]) -> float:
+    """Largest load over pressed-in depth of a wheel in the stances [N/m], as axle heights over level ground at z = 0 tell it."""
+    spec = load_spec(robot)
+    return max(
+        float(np.max(rest.loads[on] * spec.mass * GRAVITY / (spec.wheel.radius - rest.axles[on, 2])))
+        for rest in rests
+        for on in (rest.supporting & (rest.loads > 0.0),)
+    )
 
 
 def fit_with(robot: str, rests: Sequence[Rest], stiffness: float) -> SagFit:

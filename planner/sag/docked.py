@@ -7,6 +7,10 @@ generalised forces: the derivative of the springs' and the weight's energy by al
 
 The feet's springs are those of `sag_model`, eqs 9-12, its smooth onset of the horizontal ones included; with rigid docks
 both models agree.
+
+Belief and truth have one form here. The twin's dock twists about the same axis as a linear spring with a linear damper, without
+play or friction, so at rest its law is this one and only the constant is learned: what the docks gain on the twin is more than
+they would on a robot. The twin's dock also bends, as a second linear spring, which this model leaves out.
 """
 
 from __future__ import annotations

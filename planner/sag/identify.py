@@ -189,7 +189,9 @@ def identify_per_wheel(
 def identify_tyre(loads: np.ndarray, axle_heights: np.ndarray, *, wheel_radius: float) -> float:
     """The tyre's own constant [N/m]: what loaded axles stand lower than a wheel's radius, by least squares.
 
-    The paper read SDM-B's axles for this (s5.1.2). Legs and joints play no part in it.
+    The paper read SDM-B's axles for this (s5.1.2). Legs and joints play no part in it. Of a tyre that stiffens under load the
+    constant is a secant, load over depth at the loads given: from six wheels down it may be less than a foot's constant, tyre
+    and leg in series, that was found over stances with legs lifted, where each wheel carries more.
 
     Args:
         loads: believed, of n loaded wheels [N].

@@ -65,6 +65,10 @@ def identify_docks(
     """
     if len(stances) != len(pieces) or not stances or not all(pieces):
         raise SagError(f"{len(stances)} stances and {len(pieces)} sets of pieces: each stance needs its own, with at least one dock")
+    if not 0.0 < start < np.inf:
+        raise SagError(f"search begins at {start} N/m, must be positive and finite; identify_stiffness gives a start")
+    if not SOFTEST <= start_twist <= STIFFEST:
+        raise SagError(f"search of the docks from {start_twist} N m/rad, must be within {SOFTEST:.0f} to {STIFFEST:.0f}")
 
     def errors(x: np.ndarray) -> np.ndarray:
         each = [

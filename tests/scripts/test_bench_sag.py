@@ -1,16 +1,19 @@
 """The sag benchmark: what it makes of readings whose springs are known, a real robot on the yard, bad usage."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from athlete_twin.errors import SagError
 from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from planner.sag.docked import docked_pieces
 from planner.sag.identify import MeasuredStance, predict_heights
 from planner.sag.identify_docks import predict_docked_heights
+from planner.sag.lift_pose import NoPose
 from planner.sag.sag_model import AIRBORNE, solve_sag
 
 KEYS = {"name", "ours", "unit", "peer_name", "peer", "ratio", "target", "met"}
@@ -114,6 +117,151 @@ def test_bad_usage_is_one_line_and_exit_status_2(bench, capsys, arguments, messa
     assert bench.main(arguments) == 2
     err = capsys.readouterr().err
     assert message in err and err.count("\n") == 1
+
+
+class Refusing:
+    """A yard on which nothing is measured; it does not lift one leg, for one way of being asked."""
+
+    def __init__(self, spec, seed, *, leg, slowly, stances):
+        self.spec, self.seed, self.lifted, self._refuses = spec, seed, (), (leg, slowly)
+        self._stances, self._refused = stances, stances.StanceRefusedError
+
+    def raise_leg(self, leg, by, *, slow=1.0, watch=None):
+        if (leg, slow < 1.0) == self._refuses:
+            raise self._refused(f"leg {leg + 1} asks 112 % of its knee")
+
+    def put_down(self, leg, **_):
+        pass
+
+    def level(self, **_):
+        pass
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def refusing(script, individual, monkeypatch):
+    """Makes robots of the script refuse to lift a leg; what they do is read from another individual."""
+    stances = script("sag_stances")
+
+    def make(*, leg, slowly):
+        def yard(robot, seed):
+            return Refusing(load_spec(robot), seed, leg=leg, slowly=slowly, stances=stances)
+
+        def read_lifted(yard, legs):
+            for lifted in legs:
+                yard.raise_leg(lifted, 0.3)
+            return individual.calibration[stances.CALIBRATION.index(legs)]
+
+        def curve(yard, lifted, *, by):
+            yard.raise_leg(lifted, by, slow=0.1)
+            return individual.curves[lifted]
+
+        monkeypatch.setattr(stances, "SagYard", yard)
+        monkeypatch.setattr(stances, "_read_lifted", read_lifted)
+        monkeypatch.setattr(stances, "lift_curve", curve)
+        monkeypatch.setattr(stances, "_random_readings", lambda yard, count: (individual.random, ()))
+
+    return make
+
+
+def _printed(bench, capsys, *arguments):
+    assert bench.main([*arguments, "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert all(set(r) == KEYS for r in rows)
+    return rows, [r for r in rows if r["met"] is False and "112 % of its knee" in r["name"]]
+
+
+def test_an_individual_that_refuses_a_calibration_stance_is_a_row_and_costs_no_others(bench, individual, refusing, capsys, monkeypatch):
+    refusing(leg=2, slowly=False)
+    monkeypatch.setattr(bench.sag_speed, "rows", lambda robots: [bench.sag_figures.row("speed of the rest", 1.0, "ms")])
+    rows, refused = _printed(
+        bench, capsys, "--robots", individual.robot, "--individuals", "1", "--parts", "sag", "speed"
+    )
+    (no,) = refused
+    assert no["name"].startswith(f"{individual.robot}, individual 0: calibrated: no, stance with legs lifted: 3")
+    assert any(r["name"] == "speed of the rest" for r in rows)
+
+
+def test_a_leg_that_does_not_lift_slowly_is_a_row_and_the_others_are_scored(bench, individual, refusing, capsys):
+    refusing(leg=4, slowly=True)
+    rows, refused = _printed(bench, capsys, "--robots", individual.robot, "--individuals", "1", "--parts", "sag")
+    (no,) = refused
+    assert "lifted slowly: no, leg 5: leg 5 asks 112 %" in no["name"]
+    assert any(r["name"].startswith(f"{individual.robot}, 5 lifts, springs") for r in rows)
+
+
+def test_springs_that_cannot_be_found_are_a_row(bench, individual, refusing, capsys, monkeypatch):
+    refusing(leg=0, slowly=None)
+
+    def lost(_):
+        raise SagError("no constant holds all 10 stances: 112 % of its knee")
+
+    monkeypatch.setattr(bench.sag_figures, "calibrated", lost)
+    _, refused = _printed(bench, capsys, "--robots", individual.robot, "--individuals", "1", "--parts", "sag")
+    assert "springs found: no, no constant holds" in refused[0]["name"]
+
+
+def test_a_leg_without_a_pose_before_its_lift_is_a_row_and_the_others_are_compared(script, monkeypatch):
+    pose = script("sag_pose")
+
+    def lifted(robot, seed, leg, *, optimise):
+        if leg == 1 and optimise:
+            raise pose.NoPoseError("no pose from the normal stance: reach of leg 2")
+        if leg == 3 and not optimise:
+            raise pose.StanceRefusedError("leg 4 asks 112 % of its knee")
+        return pose.Lifted(tilt=0.01 * (leg + 1), sink=0.0, clearance=0.0, peak_load=1000.0)
+
+    monkeypatch.setattr(pose, "_lifted", lifted)
+    rows = pose.rows(robots=("sdm_b",))
+    assert [r["met"] for r in rows[:2]] == [False, False]
+    assert "leg 2 lifted" in rows[0]["name"] and "reach of leg 2" in rows[0]["name"] and "112 %" in rows[1]["name"]
+    tilt = next(r for r in rows if "tilt" in r["name"])
+    assert tilt["ours"] == pytest.approx((0.01 + 0.03 + 0.05 + 0.06) / 4) and "one of 4 legs up" in tilt["name"]
+
+
+def test_a_pose_that_is_not_found_is_a_named_error(script, monkeypatch):
+    pose = script("sag_pose")
+    spec = load_spec("sdm_b")
+
+    class Yard:
+        kin, motors = kinematics("sdm_b"), regular_stance(spec)
+
+        def __init__(self, robot, seed):
+            self.spec = load_spec(robot)
+
+        def close(self):
+            pass
+
+    monkeypatch.setattr(pose, "SagYard", Yard)
+    monkeypatch.setattr(pose, "optimise_pose", lambda *_, **__: NoPose(reason="reach of leg 1"))
+    with pytest.raises(pose.NoPoseError, match="no pose from the normal stance: reach of leg 1"):
+        pose._lifted("sdm_b", 0, 0, optimise=True)
+
+
+def test_a_wheel_that_never_bears_is_refused_by_name(script):
+    lifts = script("sag_lifts")
+
+    class Robot:
+        def truth(self):
+            return SimpleNamespace(
+                motors=regular_stance(load_spec("sdm_b")), wheels_in_world=np.ones((6, 3)), wheel_loads=np.zeros(6)
+            )
+
+        terrain = SimpleNamespace(grid=SimpleNamespace(sample=lambda xy: np.zeros(len(xy))))
+
+    class Yard:
+        spec, kin, robot, up_in_hex = load_spec("sdm_b"), kinematics("sdm_b"), Robot(), np.array([0.0, 0.0, 1.0])
+
+        def raise_leg(self, leg, by, *, slow, watch):
+            watch(self.robot.truth())
+
+        def put_down(self, leg, *, slow, watch):
+            watch(self.robot.truth())
+
+    with pytest.raises(lifts.StanceRefusedError, match="bore no load on its way up"):
+        lifts.lift_curve(Yard(), 0, by=0.35)
 
 
 @pytest.mark.slow

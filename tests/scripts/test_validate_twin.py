@@ -100,6 +100,21 @@ def test_springs_softer_than_the_best_ones_predict_too_much_sag(script, measured
     assert np.mean(softer.errors) < -best.mean
 
 
+def test_the_search_ends_at_the_stiffest_tyre_that_was_measured_and_the_note_says_when_it_did(script, rows_module, measured):
+    """The true tyre is F = 16 kN/m d + 110 kN/m2 d2, robot facts 2.6: the more it carries the stiffer, F / d."""
+    sag = script("validate_sag")
+    rests = list(measured.stances.values())
+    heaviest = max(float(rest.loads.max()) for rest in rests) * measured.spec.mass * 9.81
+    drop = (-16e3 + np.sqrt(16e3**2 + 4.0 * 110e3 * heaviest)) / (2.0 * 110e3)
+    assert sag.stiffest_tyre("sdm_b", rests) == pytest.approx(heaviest / drop, rel=0.02)
+    best = sag.best_fit("sdm_b", rests)
+    assert best.stiffness < best.bound == sag.stiffest_tyre("sdm_b", rests) and not best.at_bound
+    name = "sdm_b foot springs: mean error, best constant"
+    assert "search ends" not in by_name(rows_module.rows_of(measured))[name].note
+    ended = sag.SagFit(stiffness=best.bound - 10.0, bound=best.bound, errors=best.errors)
+    assert ended.at_bound
+
+
 def test_rows_have_the_keys_of_every_benchmark(rows_module, measured):
     for row in rows_module.rows_of(measured) + rows_module.elsewhere():
         content = json.loads(json.dumps(row.as_json()))

@@ -182,6 +182,12 @@ def test_wrong_use_is_refused():
         )
     with pytest.raises(SagError, match="needs its own"):
         identify_docks([_measured((), 55e3, 5e5)], [()], start=40e3)
+    for bad in (np.nan, 0.0, -1.0, np.inf):
+        with pytest.raises(SagError, match=r"begins at (nan|0\.0|-1\.0|inf) N/m, must be positive and finite"):
+            identify_docks([_measured((), 55e3, 5e5)], [PIECES], start=bad)
+    for bad in (np.nan, 1e3, 1e9):
+        with pytest.raises(SagError, match=r"docks from .* N m/rad, must be within 20000 to 20000000"):
+            identify_docks([_measured((), 55e3, 5e5)], [PIECES], start=40e3, start_twist=bad)
 
 
 def test_what_cannot_stand_says_why():
