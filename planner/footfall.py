@@ -50,10 +50,11 @@ class FootfallConfig(CostConfig):
         if not 0.0 <= self.max_unknown_fraction < 1.0:
             raise ConfigError(f"max_unknown_fraction is {self.max_unknown_fraction}, must be at least 0 and below 1")
         for name in ("max_sigma", "max_slope_deg", "max_height_range", "max_mean_gap"):
-            if not getattr(self, name) > 0.0:
-                raise ConfigError(f"{name} is {getattr(self, name)}, must be positive")
-        if self.flank_clearance < 0.0 or self.flank_tolerance < 0.0:
-            raise ConfigError(f"flank clearance and tolerance are {self.flank_clearance} and {self.flank_tolerance} m")
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+                raise ConfigError(f"{name} is {getattr(self, name)}, must be positive and finite")
+        for name in ("flank_clearance", "flank_tolerance"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
+                raise ConfigError(f"{name} is {getattr(self, name)} m, must be finite and not negative")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -92,20 +93,22 @@ def score_footfalls(
 
     Args:
         grid: heights, NaN where unknown.
-        variance: of the heights, same shape [m2]; ignored where unknown.
+        variance: of the heights, same shape [m2]; a cell without a finite one is unknown.
         wheel_radius: [m]
         config: method and limits.
     """
     heights = np.asarray(grid.heights, dtype=np.float64)
     if variance.shape != heights.shape:
         raise TerrainError(f"variance has shape {variance.shape}, the heights {heights.shape}")
-    if not wheel_radius > 0.0:
+    if (variance < 0.0).any():
+        raise TerrainError(f"variance of heights is {float(np.nanmin(variance)):g} m2 at its least, must not be negative")
+    if not (np.isfinite(wheel_radius) and wheel_radius > 0.0):
         raise TerrainError(f"wheel radius is {wheel_radius} m, must be positive")
     radius = config.footprint_radius(wheel_radius)
     foot = footprint(radius, grid.cell, shape=config.shape)
     if min(heights.shape) < foot.shape[0]:
         raise TerrainError(f"map of {heights.shape} cells is smaller than a footprint of {foot.shape} cells")
-    known = np.isfinite(heights)
+    known = np.isfinite(heights) & np.isfinite(variance)
     filled = _fill(heights, known, foot)
 
     n = float(foot.sum())
@@ -114,10 +117,9 @@ def score_footfalls(
     # A wheel on a plane touches it beside its axle's foot: its axle stands higher by R (1 / cos - 1).
     contact = under.mean + wheel_radius * (np.hypot(1.0, under.steepness) - 1.0)
     intrusion = _flank_intrusion(filled, known, grid.cell, radius, wheel_radius, config.flank_clearance) - contact
-    trusted = known & np.isfinite(variance)
-    sigma2 = window_sum(np.where(trusted, variance, 0.0), foot) / np.maximum(_count(known, foot, cv2.BORDER_REPLICATE), 1.0)
+    sigma2 = window_sum(np.where(known, variance, 0.0), foot) / np.maximum(_count(known, foot, cv2.BORDER_REPLICATE), 1.0)
     # An unknown cell may be as wrong as the worst that is let pass.
-    supposed = np.where(trusted, variance, config.max_sigma**2)
+    supposed = np.where(known, variance, config.max_sigma**2)
 
     veto = np.select(
         [

@@ -76,6 +76,7 @@ def _load_rows(robot: str, scene: StabilityScene) -> list[Row]:
     standing = np.arange(LEGS) != 0
     rigid = peak_torque_fraction(kin, scene.joints, supporting=standing)
     best = least_torque_loads(kin, scene.joints, supporting=standing, friction=FRICTION)
+    refused = "" if best.feasible else f"; no: {best.reason}"
     return [
         row(
             f"{robot}: ground that a leg reaches with a plumb last link, level stance", AREA_CELL**2 * float(able.reaches.sum()), "m2",
@@ -86,7 +87,8 @@ def _load_rows(robot: str, scene: StabilityScene) -> list[Row]:
             "m2", peer_name=REACH_NAME, peer=reach,
         ),
         row(
-            f"{robot}: peak joint torque with leg 1 up, best forces at friction {FRICTION}", best.peak_torque_fraction, "of the limit",
+            f"{robot}: peak joint torque with leg 1 up, best forces at friction {FRICTION}{refused}",
+            best.peak_torque_fraction, "of the limit",
             peer_name="zero interaction", peer=rigid,
         ),
     ]  # fmt: skip

@@ -183,12 +183,12 @@ def search_step(
         world_from_leg=leg_pose,
     )
     refused.update({REASONS[code]: int(n) for code, n in enumerate(np.bincount(judged.reason)) if code and n})
-    places, landed = places[judged.ok], judged.joints[judged.ok]
+    places, landed, lifted = places[judged.ok], judged.joints[judged.ok], judged.lifted[judged.ok]
     if len(places) == 0:
         return NoStep(reason=f"no stable, reachable footfall for leg {leg + 1}", refused=dict(refused))
     if np.isfinite(config.search.footfall_torque_fraction):
         carries = peak_torques(
-            kin, belief.joints, leg, landed, places=places, world_from_hex=swing_pose, payload_kg=payload_kg
+            kin, belief.joints, leg, landed, lifted, places=places, world_from_hex=swing_pose, payload_kg=payload_kg
         ) <= config.search.footfall_torque_fraction
         refused["footfall_torque"] += int(np.sum(~carries))
         places = places[carries]

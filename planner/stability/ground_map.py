@@ -120,14 +120,14 @@ def ground_map(
     known = np.isfinite(places[:, 2])
     reason = np.where(known, UNREACHABLE, UNKNOWN).astype(np.uint8)
     dof = len(spec.joints)
-    q = np.full((len(places), dof), np.nan)
+    q, lifted = np.full((2, len(places), dof), np.nan)
 
     near = np.flatnonzero(known & _near(spec, leg, places, world_from_hex))
     judged = stability_map(
         kinematics, joints, leg=leg, footfalls_in_world=places[near], world_from_hex=world_from_hex, config=config.stability,
         lift=config.lift, payload_kg=payload_kg,
     )  # fmt: skip
-    q[near] = judged.joints
+    q[near], lifted[near] = judged.joints, judged.lifted
     reason[near] = _stability_reason(judged)
     out = near[~judged.reachable]
     tilted = _reached_tilted(spec, leg, places[out], world_from_hex, config)
@@ -139,8 +139,9 @@ def ground_map(
     reached = reached[upright]
     if config.max_torque_fraction < np.inf and len(reached):
         peaks = peak_torques(
-            kinematics, joints, leg, q[reached], places=places[reached], world_from_hex=world_from_hex, payload_kg=payload_kg
-        )
+            kinematics, joints, leg, q[reached], lifted[reached], places=places[reached], world_from_hex=world_from_hex,
+            payload_kg=payload_kg,
+        )  # fmt: skip
         heavy = reached[~(peaks <= config.max_torque_fraction)]
         reason[heavy[reason[heavy] == OK]] = TORQUE
     if footfalls is not None:

@@ -25,6 +25,7 @@ def peak_torques(
     joints: Joints,
     leg: int,
     q: np.ndarray,
+    lifted: np.ndarray,
     *,
     places: Points3,
     world_from_hex: SE3,
@@ -37,6 +38,7 @@ def peak_torques(
         joints: of all legs, shape (6, dof) [rad]; the leg's own row does not matter.
         leg: index 0 to 5.
         q: the leg's angles with its wheel on each place, shape (n, dof), finite [rad].
+        lifted: and in the air above it, shape (n, dof), finite [rad].
         places: contacts in world, shape (n, 3) [m].
         world_from_hex: the chassis.
         payload_kg: [kg]
@@ -46,7 +48,6 @@ def peak_torques(
     down = hex_from_world.rotate(-UP)
     contacts = np.broadcast_to(kinematics.wheels_in_hex(joints) + spec.wheel.radius * down, (n, LEGS, 3)).copy()
     contacts[:, leg] = hex_from_world.apply(places)
-    com = com_with_leg(kinematics, joints, leg, q, payload_kg)
     weight = (spec.mass + payload_kg) * GRAVITY
     held, push = _other_legs(kinematics, joints, leg, down)
     others = [other for other in range(LEGS) if other != leg]
@@ -54,13 +55,14 @@ def peak_torques(
     at_others = kinematics.wheels_in_hex(joints)[others] + spec.wheel.radius * down
     wheel_loads(at_others, kinematics.com_in_hex(joints, payload_kg), weight=weight, gravity_direction=down)
     peak = np.zeros(n)
-    for standing in (others, list(range(LEGS))):
+    for standing, angles in ((others, lifted), (list(range(LEGS)), q)):
+        com = com_with_leg(kinematics, joints, leg, angles, payload_kg)
         forces = zero_interaction(contacts[:, standing], com, weight=weight, down=down)
         on_others = forces[:, [standing.index(other) for other in others]]
         torques = held + np.einsum("ojk,nok->noj", push, on_others)
         peak = np.maximum(peak, np.abs(torques / spec.torque_limits).max(axis=(1, 2)))
         own = forces[:, standing.index(leg)] if leg in standing else np.zeros((n, 3))
-        mine = leg_torques(spec, leg, q, force_in_hex=own, contact_in_hex=contacts[:, leg], gravity_in_hex=GRAVITY * down)
+        mine = leg_torques(spec, leg, angles, force_in_hex=own, contact_in_hex=contacts[:, leg], gravity_in_hex=GRAVITY * down)
         peak = np.maximum(peak, np.abs(mine / spec.torque_limits).max(axis=1))
     return peak
 

@@ -128,6 +128,31 @@ def test_uncertain_heights_are_refused():
     assert _veto_at(_score(np.zeros((30, 30)), variance=0.03**2), 15, 15) == "ok"
 
 
+@pytest.mark.parametrize("variance", [np.nan, np.inf])
+def test_a_cell_whose_variance_nobody_knows_is_unknown_ground(variance):
+    heights = 0.02 * np.random.default_rng(5).normal(size=(40, 40))
+    spread = np.full(heights.shape, 1e-4)
+    spread[10:20, 10:20] = variance
+    lost = np.where(np.isfinite(spread), heights, np.nan)
+    score = dict(wheel_radius=WHEEL, config=FootfallConfig())
+    doubted, unknown = score_footfalls(_grid(heights), spread, **score), score_footfalls(_grid(lost), np.full(lost.shape, 1e-4), **score)
+    assert _veto_at(doubted, 15, 15) == "unknown"
+    np.testing.assert_array_equal(doubted.veto, unknown.veto)
+    np.testing.assert_array_equal(doubted.cost, unknown.cost)
+
+
+def test_a_negative_variance_is_refused():
+    with pytest.raises(TerrainError, match=r"variance of heights is -0\.001 m2"):
+        _score(np.zeros((30, 30)), variance=-1e-3)
+
+
+@pytest.mark.parametrize("name", ["max_sigma", "max_slope_deg", "flank_clearance", "flank_tolerance"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
+def test_limits_are_finite(name, value):
+    with pytest.raises(ConfigError, match=name):
+        FootfallConfig(**{name: value})
+
+
 def test_reason_at_a_point_is_the_cell_it_lies_in():
     scored = _score(np.zeros((30, 30)))
     assert scored.reason_at(np.array([0.75, 0.75])) == "ok"
@@ -185,7 +210,7 @@ def test_wrong_use_is_refused():
         FootfallConfig(footprint_fraction=3.0)
     with pytest.raises(ConfigError, match="max_unknown_fraction is 1"):
         FootfallConfig(max_unknown_fraction=1.0)
-    with pytest.raises(ConfigError, match="flank clearance"):
+    with pytest.raises(ConfigError, match="flank_clearance"):
         FootfallConfig(flank_clearance=-0.1)
     with pytest.raises(TerrainError, match=r"map of \(4, 4\) cells is smaller than a footprint of \(7, 7\) cells"):
         _score(np.zeros((4, 4)))
