@@ -9,7 +9,11 @@ from bench_table import Row, row
 from gait_yard import GaitYard, WalkedCycle
 
 from athlete_twin.geometry.arrays import Vec2
-from athlete_twin.model.spec import load_spec
+from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.reach import all_legs_ik
+from athlete_twin.model.spec import LEGS, load_spec
+from athlete_twin.model.stance import stance_wheels_in_hex
+from athlete_twin.model.statics import stance_loads
 from planner.gait.cycle import CycleVerdict, GaitCycle, gait_cycle, judge_cycle
 from planner.gait.limits import DECKS, Limit, footing_on, longest_stride, steepest_slope
 from planner.gait.sway import ConstantPose, NoSway, SwayConfig, SwayGait, best_constant_pose, sway_gait
@@ -19,8 +23,8 @@ AHEAD = np.array([1.0, 0.0])
 PAIRS = ((0, 3), (1, 4), (2, 5))
 """opposite legs"""
 HEADINGS_DEG = (0.0, 30.0, 60.0, 90.0)
-REFERENCE = {"sdm_b": {"stride": 0.6, "foot_radius": 1.793, "chassis_height": 1.75}}
-"""stance and stride by robot facts 12a; a robot without an entry walks as drawn [m]"""
+REFERENCE = {"sdm_b": (0.6, 1.793, 1.75)}
+"""stride, foot radius and chassis height by robot facts 12a; a robot without an entry walks as drawn [m]"""
 SLOPES_DEG = (7.0, 14.0)
 """that SDM-B walked, [SunSpiral2012] s5.3.4 [deg]"""
 HEIGHTS = np.linspace(0.6, 1.1, 11)
@@ -36,19 +40,20 @@ class Gaits:
 
     def __init__(self, robot: str) -> None:
         self.spec = load_spec(robot)
-        self.stance = REFERENCE.get(robot, {"stride": self.spec.stride})
+        drawn = (self.spec.stride, self.spec.foot_radius, self.spec.chassis_height)
+        self.stride, self.foot_radius, self.height = REFERENCE.get(robot, drawn)
         self.walked: dict[str, WalkedCycle] = {}
         """executed cycles by name, once `twin` was asked for"""
 
     @cached_property
     def wave(self) -> GaitCycle:
         """The reference: one leg after the other."""
-        return gait_cycle(self.spec, AHEAD, **self.stance)
+        return self._cycle(None)
 
     @cached_property
     def pairs(self) -> GaitCycle:
         """Opposite legs together."""
-        return gait_cycle(self.spec, AHEAD, groups=PAIRS, **self.stance)
+        return self._cycle(PAIRS)
 
     @cached_property
     def sway_of_wave(self) -> SwayGait | NoSway:
@@ -58,11 +63,14 @@ class Gaits:
     @cached_property
     def constant(self) -> ConstantPose | NoSway:
         """The best that height and foot radius alone can do."""
-        return best_constant_pose(self.spec, AHEAD, stride=self.stance["stride"], config=COARSE)
+        return best_constant_pose(self.spec, AHEAD, stride=self.stride, config=COARSE)
 
-    def judged(self, cycle: GaitCycle) -> CycleVerdict:
-        """Of a cycle that does not sway."""
-        return judge_cycle(cycle)
+    def verdicts(self) -> dict[str, CycleVerdict]:
+        """The planned gaits, judged, by name."""
+        out, sway = {"reference gait": judge_cycle(self.wave)}, self.sway_of_wave
+        if isinstance(sway, SwayGait):
+            out["sway gait"] = sway.sway
+        return out | {"pairs of opposite legs": judge_cycle(self.pairs)}
 
     def strides(self) -> list[Row]:
         """The longest stride by heading."""
@@ -75,7 +83,7 @@ class Gaits:
 
     def sway(self) -> list[Row]:
         """Margin to saturation of sway, reference and best constant pose, and what two legs in the air ask."""
-        name, reference = self.spec.name, self.judged(self.wave)
+        name, reference = self.spec.name, judge_cycle(self.wave)
         out = [row(f"{name}: peak torque of the reference gait", 100.0 * reference.peak, "%")]
         found = self.sway_of_wave
         if isinstance(found, NoSway):
@@ -97,34 +105,40 @@ class Gaits:
         return out + self._two_legs()
 
     def _two_legs(self) -> list[Row]:
-        name, pairs = self.spec.name, self.judged(self.pairs)
+        name, pairs = self.spec.name, judge_cycle(self.pairs)
         one, two = self.lifted((0,)), self.lifted((0, 3))
         asked = f"asked of the joints by the pairs' cycle ({pairs.refusal(self.spec) or 'it may be walked'})"
         return [
             row(f"{name}: peak torque, legs 1 and 4 in the air, over leg 1 alone (the paper: 43.43 and 50.28 %)", 100.0 * two, "%",
                 peer_name="leg 1", peer=100.0 * one),
             row(f"{name}: peak torque {asked}, over the wave's", 100.0 * pairs.peak, "%", peer_name="wave",
-                peer=100.0 * self.judged(self.wave).peak),
-            row(f"{name}: least support margin while a pair swings", pairs.swing_margin, "m", target=f">= {self.spec.min_support_margin:g}"),
+                peer=100.0 * judge_cycle(self.wave).peak),
+            row(f"{name}: least support margin while a pair swings", pairs.swing_margin, "m",
+                target=f">= {self.spec.min_support_margin:g}"),
         ]  # fmt: skip
 
     def lifted(self, legs: tuple[int, ...]) -> float:
         """Peak torque over its limit with some legs straight up from the reference stance."""
-        axles = self.regular_axles()
-        axles[list(legs), 2] += self.wave.lift
-        return float(rigid_stances(self.spec, axles[None], standing=~np.isin(np.arange(6), legs)).peak[0])
+        return float(rigid_stances(self.spec, self._raised(legs)[None], standing=~np.isin(np.arange(LEGS), legs)).peak[0])
 
-    def regular_axles(self) -> np.ndarray:
-        """Of the reference stance in hex, shape (6, 3) [m]."""
-        radius = self.stance.get("foot_radius", self.spec.foot_radius)
-        height = self.stance.get("chassis_height", self.spec.chassis_height)
-        azimuths = self.spec.foot_azimuths
-        z = np.full(len(azimuths), self.spec.wheel.radius - height)
-        return np.column_stack([radius * np.cos(azimuths), radius * np.sin(azimuths), z])
+    def loads(self, legs: tuple[int, ...]) -> np.ndarray:
+        """Vertical forces on the wheels in that stance, shape (6,) [N]."""
+        joints, _ = all_legs_ik(self.spec, self._raised(legs), last_link_in_hex=np.array([0.0, 0.0, -1.0]))
+        return stance_loads(kinematics(self.spec.name), joints, supporting=~np.isin(np.arange(LEGS), legs))[0][:, 2]
+
+    def _raised(self, legs: tuple[int, ...]) -> np.ndarray:
+        axles = stance_wheels_in_hex(self.spec, self.foot_radius, self.height).copy()
+        axles[list(legs), 2] += self.wave.lift
+        return axles
+
+    def _cycle(self, groups: tuple[tuple[int, ...], ...] | None) -> GaitCycle:
+        return gait_cycle(
+            self.spec, AHEAD, stride=self.stride, groups=groups, foot_radius=self.foot_radius, chassis_height=self.height
+        )
 
     def slopes(self) -> list[Row]:
         """The steepest slope, as drawn and at the best height, and the longest stride on the paper's slopes."""
-        out, name, stride = [], self.spec.name, self.stance["stride"]
+        out, name, stride = [], self.spec.name, self.stride
         for deck in DECKS:
             for saturates in (True, False):
                 judged = "" if saturates else ", reach and stability alone"
@@ -150,6 +164,7 @@ class Gaits:
     def twin(self, seed: int) -> list[Row]:
         """The three gaits, walked."""
         name, sway = self.spec.name, self.sway_of_wave
+        tried: list[tuple[str, GaitCycle, np.ndarray | None]]
         tried = [("reference gait", self.wave, None), ("pairs of opposite legs", self.pairs, None)]
         if isinstance(sway, SwayGait):
             tried.insert(1, ("sway gait", self.wave, sway.displacements))
@@ -164,7 +179,7 @@ class Gaits:
             ended = f", ended in {done.ended_by}" if done.ended_by else ""
             out.append(row(f"{name}: twin, peak torque of the {what}{ended}", 100.0 * done.peak, "%",
                            peer_name="planned", peer=100.0 * planned))  # fmt: skip
-            out.append(row(f"{name}: twin, advance of the {what}", done.advance, "m", peer_name="planned", peer=self.stance["stride"]))
+            out.append(row(f"{name}: twin, advance of the {what}", done.advance, "m", peer_name="planned", peer=self.stride))
         if "sway gait" in self.walked:
             pair = self.walked["sway gait"], self.walked["reference gait"]
             whole = not any(walked.ended_by for walked in pair)

@@ -22,8 +22,6 @@ from planner.gait.cycle import GaitCycle
 
 PATIENT = 1.3
 """torque over its limit at which the executive stops: a gait beyond saturation shall show by how much"""
-WAYS = 2
-"""moves of the chassis from its first height to the cycle's, at least"""
 LONGEST_WAY = 0.15
 """of the chassis in one move [m]"""
 

@@ -17,7 +17,7 @@ from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import Vec2, Vec3
 from athlete_twin.model.spec import RobotSpec
 from planner.gait.cycle import CycleVerdict, gait_cycle, judge_cycle
-from planner.stability.rigid_stance import UP, Footing
+from planner.stability.rigid_stance import Footing
 
 STRIDE_STEP, STRIDE_DIGIT = 0.1, 0.005
 """between tested strides, and how closely the last is found [m]"""

@@ -16,10 +16,10 @@ from athlete_twin.errors import SupportError
 from athlete_twin.geometry.arrays import PerLegFlag, Vec3
 from athlete_twin.geometry.polygon import conservative_distances, signed_distances
 from athlete_twin.model.kinematics import GRAVITY
+from athlete_twin.model.leg_coms import leg_coms_in_hex
 from athlete_twin.model.leg_torques import leg_torques
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import LEGS, RobotSpec
-from planner.stability.stability_map import leg_coms_in_hex
 from planner.stability.stance_torque import zero_interaction
 
 UP = np.array([0.0, 0.0, 1.0])
