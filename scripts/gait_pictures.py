@@ -43,7 +43,7 @@ def _way(axis: Any, gaits: Gaits) -> None:
         axis.plot(places[:, 0], places[:, 1], "o-", color=ORANGE, label="sway")
         for k, place in enumerate(places[:-1]):
             up = sway.displacements[k, 2]
-            axis.annotate(f"{k + 1}: {up:+.2f} m", place[:2], textcoords="offset points", xytext=(5, 5), fontsize=8)
+            axis.annotate(f"{k + 1}: {up:+.2f} m", place[:2], textcoords="offset points", xytext=(5, 6 if k % 2 else -13), fontsize=8)
     axis.set(title="way of the chassis; phase and height over the reference", xlabel="x [m]", ylabel="y [m]")
     axis.margins(0.15)
     axis.axis("equal")
