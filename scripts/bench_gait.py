@@ -1,0 +1,81 @@
+"""What the regular gait can do, planned and executed: strides, sway, two legs at once, slopes.
+
+    python scripts/bench_gait.py [--robots sdm_b t12] [--parts strides sway slopes twin] [--out DIR] [--json]
+
+`strides`: the longest cycle by heading, one leg at a time and opposite legs together. `sway`: the margin to saturation with the
+chassis displaced in three dimensions, beside the same footfalls without displacement and beside the best constant chassis height
+and foot radius; and the peak torque with one leg and with two opposite legs in the air. `slopes`: the steepest even slope with
+the deck level and with the deck parallel to the ground. These are planned: rigid, loads by zero interaction. `twin` executes a
+cycle of the plain gait, the sway gait and the opposite pairs on level concrete, a minute or two each: tyres, wind-up, servos
+and interaction included.
+
+SDM-B's reference is a hex at 1.75 m over feet at 1.793 m and a stride of 0.6 m; T12's is the stance and stride of its drawings.
+"""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+
+import gait_figures
+import tyro
+from bench_table import Row, show
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from athlete_twin.errors import AthleteError
+from athlete_twin.model.spec import load_spec
+
+PARTS = ("strides", "sway", "slopes", "twin")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Measures and prints the rows of each part."""
+
+    robots: tuple[str, ...] = ("sdm_b", "t12")
+    parts: tuple[str, ...] = PARTS
+    """any of strides, sway, slopes and twin"""
+    seed: int = 0
+    """of the individual that walks in `twin`"""
+    out: Path | None = None
+    """folder for pictures; none are drawn without it"""
+    json: bool = False
+    """print one JSON object instead of the table"""
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """Runs the script; the exit status."""
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    unknown = [p for p in options.parts if p not in PARTS]
+    if unknown or options.seed < 0:
+        wrong = f"part {unknown[0]!r} is not one of {', '.join(PARTS)}" if unknown else f"--seed {options.seed} is negative"
+        sys.stderr.write(f"bench_gait: {wrong}\n")
+        return 2
+    rows: list[Row] = []
+    columns = (TextColumn("{task.description:24}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    try:
+        for robot in options.robots:
+            load_spec(robot)
+        with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+            task = progress.add_task("", total=len(options.robots) * len(options.parts))
+            for robot in options.robots:
+                gaits = gait_figures.Gaits(robot)
+                for part in options.parts:
+                    progress.update(task, description=f"{part} {robot}")
+                    rows += gaits.twin(options.seed) if part == "twin" else getattr(gaits, part)()
+                    progress.advance(task)
+                if options.out is not None:
+                    import gait_pictures
+
+                    gait_pictures.draw(gaits, options.out / f"gait_{robot}.png")
+    except AthleteError as e:
+        sys.stderr.write(f"bench_gait: {' '.join(str(e).split())}\n")
+        return 2
+    show(rows, as_json=options.json)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

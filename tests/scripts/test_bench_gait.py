@@ -1,0 +1,61 @@
+"""The gait benchmark: the paper's figure 16, rows of one shape, the picture, bad usage, and a cycle that the twin walks."""
+
+import numpy as np
+import pytest
+
+
+@pytest.fixture(scope="module")
+def figures(script):
+    return script("gait_figures")
+
+
+@pytest.fixture(scope="module")
+def bench(script):
+    return script("bench_gait")
+
+
+def test_two_opposite_legs_in_the_air_ask_less_of_the_joints_than_one_as_in_figure_16(figures):
+    """[SunSpiral2012] figure 16: 50.28 % of the limit with the front leg up, 43.43 % with the front and the back leg."""
+    gaits = figures.Gaits("sdm_b")
+    assert 100.0 * gaits.lifted((0,)) == pytest.approx(50.28, abs=1.0)
+    assert 100.0 * gaits.lifted((0, 3)) == pytest.approx(43.43, abs=1.0)
+    for legs in ((0,), (0, 3)):
+        assert gaits.loads(legs).sum() == pytest.approx(gaits.spec.mass * 9.80665, rel=1e-3)
+        assert (gaits.loads(legs)[list(legs)] == 0.0).all()
+
+
+def test_rows_say_what_ended_a_stride(figures):
+    rows = figures.Gaits("sdm_b").strides()
+    assert len(rows) == 8 and all("ended by: leg" in r["name"] and 0.5 < r["ours"] < 1.5 for r in rows)
+
+
+def test_picture_is_drawn(script, figures, tmp_path):
+    path = script("gait_pictures").draw(figures.Gaits("sdm_b"), tmp_path / "deep" / "gait.png")
+    assert path.stat().st_size > 30_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--robots", "sdm_x"], "sdm_x"),
+        (["--parts", "ears"], "part 'ears' is not one of strides, sway, slopes, twin"),
+        (["--seed", "-1"], "--seed -1 is negative"),
+    ],
+)
+def test_bad_usage_is_one_line_and_status_2(bench, capsys, arguments, message):
+    assert bench.main(arguments) == 2
+    error = capsys.readouterr().err
+    assert message in error and len(error.strip().splitlines()) == 1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_the_twin_walks_a_cycle_of_opposite_pairs_as_planned(script, figures, robot):
+    gaits, yard = figures.Gaits(robot), script("gait_yard").GaitYard(robot, 0)
+    try:
+        walked = yard.walk(gaits.pairs)
+    finally:
+        yard.close()
+    assert walked.ended_by == ""
+    assert walked.advance == pytest.approx(gaits.stride, rel=0.1)
+    assert np.isfinite(walked.torques).all() and walked.peak < 1.0
