@@ -106,9 +106,9 @@ def elsewhere() -> list[Row]:
     return [
         Row(item=item, name=name, unit=unit, ours=None, target=target, note=f"not here: {where}")
         for item, name, unit, target, where in (
-            ("6", "sway gait's gain in torque margin", "%", "> 20", "needs the planner's gait"),
-            ("7", "gait periodic by cycle", "1", "<= 3", "needs the planner's gait"),
-            ("8", "t12 body advance a cycle", "m", "1.2 - 1.4", "needs the planner's gait"),
+            ("6", "sway gait's gain in torque margin", "%", "> 20", "`bench_gait.py` plans and walks it"),
+            ("7", "gait periodic by cycle", "1", "<= 3", "the planner, see its tests"),
+            ("8", "t12 body advance a cycle", "m", "1.2 - 1.4", "`rock_field_trial.py --cycles 1`"),
             ("13", "order of the 1989 footfall scores", "1", "as printed", "concerns the scores, no physics"),
         )
     ]
