@@ -42,7 +42,7 @@ from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.recovery import LOWERINGS, Recovery
-from planner.sequence import as_sequence, lower_commands, step_commands
+from planner.sequence import as_sequence, lower_commands, step_commands, straighten_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
 
@@ -457,7 +457,10 @@ class GroundAgent:
         height = max(0.0, float(under[2] - ground.filled.sample(under[None, :2])[0]))
         depth = height + self.config.step.touchdown.search_depth
         target = axle + depth * down
-        commands = lower_commands(plan.leg, target, plan.contact_load)
+        straight = straighten_commands(
+            self.kin, plan.leg, belief.motors[plan.leg], down, tolerance=self.config.step.swing.branch_tolerance
+        )
+        commands = [*straight, *lower_commands(plan.leg, target, plan.contact_load)]
         contact = belief.world_from_hex.apply(target) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0])
         lowered = replace(
             plan, lift_in_hex=None, descent_in_hex=target, shift=BodyShift.none(), footfall_in_world=contact,

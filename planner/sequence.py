@@ -8,8 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Vec3
+from athlete_twin.geometry.arrays import LegJoints, Vec3
 from athlete_twin.messages import BodyMove, Command, CommandSequence, ImageRequest, JointMove, LegMove
+from athlete_twin.model.kinematics import Kinematics
+from athlete_twin.model.reach import leg_ik
 from planner.gait.step_plan import BodyShift, StepPlan
 
 SMALLEST_SHIFT = 1e-3
@@ -45,6 +47,28 @@ def shift_commands(shift: BodyShift) -> list[Command]:
 def lower_commands(leg: int, axle_in_hex: Vec3, contact_load: float) -> list[Command]:
     """A guarded descent alone: the ground lay lower than the map said."""
     return [LegMove(leg=leg, wheel_in_hex=axle_in_hex, guard="contact", contact_load=contact_load)]
+
+
+def straighten_commands(
+    kinematics: Kinematics, leg: int, motors: LegJoints, down_in_hex: Vec3, *, tolerance: float
+) -> list[Command]:
+    """Brings a leg to the posture of straight moves where its wheel is; nothing where it has it, or does not reach it.
+
+    A leg that a fault stopped on a sampled way through the air has its rolls turned; the executive goes straight only with
+    rolls at zero and the last link plumb.
+
+    Args:
+        kinematics: of the robot.
+        leg: index 0 to 5.
+        motors: of the leg, shape (dof,) [rad].
+        down_in_hex: where gravity points.
+        tolerance: a posture so near is straight [rad].
+    """
+    axle = kinematics.leg_wheel(leg, motors).translation
+    q, reached = leg_ik(kinematics.spec, leg, axle[None], last_link_in_hex=down_in_hex)
+    if not reached[0] or float(np.abs(q[0] - motors).max()) <= tolerance:
+        return []
+    return [JointMove(leg=leg, waypoints=q)]
 
 
 def as_sequence(

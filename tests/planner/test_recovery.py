@@ -3,9 +3,12 @@
 import numpy as np
 import pytest
 
-from athlete_twin.messages import Fault
+from athlete_twin.messages import Fault, JointMove
+from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.stance import regular_stance
 from planner.gait.step_plan import StepPlan
 from planner.recovery import MAX_EXTRA_LIFT, Recovery, way_back
+from planner.sequence import straighten_commands
 
 PATH = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [2.0, 1.0]])
 
@@ -78,3 +81,17 @@ def test_the_ground_gives_up_at_the_sixth_fault_and_starts_afresh_after_a_step(p
     assert recovery.exhausted
     recovery.reset()
     assert recovery == Recovery()
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_a_leg_with_turned_rolls_is_straightened_where_its_wheel_is_before_it_goes_down(robot):
+    kin, down = kinematics(robot), np.array([0.0, 0.0, -1.0])
+    straight = regular_stance(kin.spec)[5]
+    assert straighten_commands(kin, 5, straight, down, tolerance=0.03) == []
+    turned = straight + np.deg2rad(9.0) * np.array([np.argmax(np.abs(j.axis)) == 0 for j in kin.spec.joints])
+    (move,) = straighten_commands(kin, 5, turned, down, tolerance=0.03)
+    assert isinstance(move, JointMove) and move.leg == 5
+    (q,) = move.waypoints
+    np.testing.assert_allclose(kin.leg_wheel(5, q).translation, kin.leg_wheel(5, turned).translation, atol=1e-6)
+    np.testing.assert_allclose(kin.leg_wheel(5, q).rotation[:, 0], down, atol=1e-6)
+    assert straighten_commands(kin, 5, q, down, tolerance=0.03) == []
