@@ -62,9 +62,9 @@ def _peaks(axis: Any, gaits: Gaits) -> None:
         axis.plot(phases, walked.torques, "s--", color=names[name], markerfacecolor="none", label=f"{name}, twin")
     axis.axhline(1.0, color="k", linewidth=0.8)
     axis.text(1.0, 1.01, "saturation", fontsize=8)
-    axis.set(title="largest joint torque over its limit", xlabel="phase", ylim=(0.0, 1.1), xticks=range(1, LEGS + 1))
+    axis.set(title="largest joint torque over its limit", xlabel="phase", ylim=(0.0, 1.5), xticks=range(1, LEGS + 1))
     axis.grid(alpha=0.3)
-    axis.legend(fontsize=8)
+    axis.legend(fontsize=8, ncols=2, loc="upper center")
 
 
 def _loads(axis: Any, gaits: Gaits) -> None:
