@@ -55,6 +55,8 @@ class StabilityMap:
     """inverse kinematics exists within limits, on the ground and lifted above it, shape (n,)"""
     joints: np.ndarray
     """of the leg with the wheel on the ground, shape (n, dof), NaN where it does not reach [rad]"""
+    lifted: np.ndarray
+    """of the leg at the way-point above it, the same [rad]"""
     margin: np.ndarray
     """plain support margin with all wheels down, shape (n,), NaN where the leg does not reach [m]"""
     cps_margin: np.ndarray
@@ -139,6 +141,7 @@ def stability_map(
         leg=leg,
         reachable=reachable,
         joints=np.where(reachable[:, None], q, np.nan),
+        lifted=np.where(reachable[:, None], lifted, np.nan),
         margin=margin,
         cps_margin=cps,
         swing_margin=swing,

@@ -1,7 +1,7 @@
 """Largest static joint torque of many stances that differ in where one leg stands, by rigid zero-interaction loads.
 
-Two stances are judged of each place: the five others carrying while the leg is in the air, its mass above the place, and all
-six with the wheel down. The other legs' torques are linear in their wheels' forces, so their matrices are taken from
+Two stances are judged of each place: the five others carrying while the leg is in the air above the place, as far lifted as the
+caller says, and all six with the wheel down. The other legs' torques are linear in their wheels' forces, so their matrices are taken from
 Pinocchio once; the moving leg's own are summed over its links here, for all places at once.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from athlete_twin.errors import SupportError
 from athlete_twin.geometry.arrays import Joints, Points3
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -28,6 +29,7 @@ def peak_torques(
     *,
     places: Points3,
     world_from_hex: SE3,
+    lifted: np.ndarray | None = None,
     payload_kg: float = 0.0,
 ) -> np.ndarray:
     """Largest joint torque over its limit, with the leg in the air and on the ground, the larger, shape (n,).
@@ -39,14 +41,17 @@ def peak_torques(
         q: the leg's angles with its wheel on each place, shape (n, dof), finite [rad].
         places: contacts in world, shape (n, 3) [m].
         world_from_hex: the chassis.
+        lifted: the leg's angles in the air above each place, shape (n, dof), finite [rad]; None for a wheel just off the ground.
         payload_kg: [kg]
     """
+    in_air = q if lifted is None else lifted
+    if in_air.shape != q.shape:
+        raise SupportError(f"lifted angles have shape {in_air.shape}, the landed ones {q.shape}; each place needs both")
     spec, n = kinematics.spec, len(q)
     hex_from_world = world_from_hex.inverse()
     down = hex_from_world.rotate(-UP)
     contacts = np.broadcast_to(kinematics.wheels_in_hex(joints) + spec.wheel.radius * down, (n, LEGS, 3)).copy()
     contacts[:, leg] = hex_from_world.apply(places)
-    com = com_with_leg(kinematics, joints, leg, q, payload_kg)
     weight = (spec.mass + payload_kg) * GRAVITY
     held, push = _other_legs(kinematics, joints, leg, down)
     others = [other for other in range(LEGS) if other != leg]
@@ -54,13 +59,14 @@ def peak_torques(
     at_others = kinematics.wheels_in_hex(joints)[others] + spec.wheel.radius * down
     wheel_loads(at_others, kinematics.com_in_hex(joints, payload_kg), weight=weight, gravity_direction=down)
     peak = np.zeros(n)
-    for standing in (others, list(range(LEGS))):
+    for standing, angles in ((others, in_air), (list(range(LEGS)), q)):
+        com = com_with_leg(kinematics, joints, leg, angles, payload_kg)
         forces = zero_interaction(contacts[:, standing], com, weight=weight, down=down)
         on_others = forces[:, [standing.index(other) for other in others]]
         torques = held + np.einsum("ojk,nok->noj", push, on_others)
         peak = np.maximum(peak, np.abs(torques / spec.torque_limits).max(axis=(1, 2)))
         own = forces[:, standing.index(leg)] if leg in standing else np.zeros((n, 3))
-        mine = leg_torques(spec, leg, q, force_in_hex=own, contact_in_hex=contacts[:, leg], gravity_in_hex=GRAVITY * down)
+        mine = leg_torques(spec, leg, angles, force_in_hex=own, contact_in_hex=contacts[:, leg], gravity_in_hex=GRAVITY * down)
         peak = np.maximum(peak, np.abs(mine / spec.torque_limits).max(axis=1))
     return peak
 

@@ -3,16 +3,19 @@
 import dataclasses
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
+from athlete_twin.assets import robot_dir
 from athlete_twin.errors import KinematicsError, SupportError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.leg_torques import leg_torques
+from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
-from athlete_twin.model.statics import stance_loads, torque_fractions, wheel_loads
+from athlete_twin.model.statics import wheel_loads
 from planner.footfall import FootfallConfig, score_footfalls
 from planner.motion.collision import CollisionConfig, LegCollision
 from planner.stability.ground_map import (
@@ -183,26 +186,85 @@ def test_forces_of_many_stances_are_those_of_each():
         np.testing.assert_allclose(found[k], expected, atol=1e-5)
 
 
+class Afloat:
+    """The whole robot on a free-flying base, built in this test: Pinocchio weighs it, and nothing of the planner's is asked."""
+
+    def __init__(self, spec):
+        text = (robot_dir(spec.name) / "robot.urdf").read_text().replace('<joint name="', '<joint name="joint_')
+        whole = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+        held = [whole.getJointId(n) for n in whole.names if n.startswith(("joint_wheel", "joint_dock"))]
+        self.spec, self.model = spec, pin.buildReducedModel(whole, held, pin.neutral(whole))
+        self.data = self.model.createData()
+
+    def peak(self, pose, joints, standing):
+        """Largest torque over its limit when the standing wheels share the weight with the least forces that balance it."""
+        q, rows = pin.neutral(self.model), np.empty((6, self.spec.dof), dtype=int)
+        q[:7] = pin.SE3ToXYZQUAT(pin.SE3(pose.rotation, pose.translation))
+        for leg in range(6):
+            for place, name in enumerate(self.spec.joint_names):
+                joint = self.model.joints[self.model.getJointId(f"joint_leg{leg + 1}_{name}")]
+                q[joint.idx_q], rows[leg, place] = joints[leg, place], joint.idx_v
+        gravity = pin.rnea(self.model, self.data, q, np.zeros(self.model.nv), np.zeros(self.model.nv))
+        pin.computeJointJacobians(self.model, self.data, q)
+        pin.updateFramePlacements(self.model, self.data)
+        patches = []
+        for leg in np.flatnonzero(standing):
+            frame = self.model.getFrameId(f"wheel{leg + 1}", pin.FrameType.BODY)
+            moves = pin.getFrameJacobian(self.model, self.data, frame, pin.LOCAL_WORLD_ALIGNED)
+            arm = -self.spec.wheel.radius * UP
+            patches.append(moves[:3] - np.cross(arm, moves[3:].T).T)  # velocity of the point under the axle
+        patches = np.concatenate(patches)
+        forces = np.linalg.lstsq(patches[:, :6].T, gravity[:6], rcond=1e-9)[0]  # the base is held by the ground alone
+        return np.abs((gravity - patches.T @ forces)[rows] / self.spec.torque_limits).max()
+
+
 @pytest.mark.parametrize("tilt", [0.0, 0.1])
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
-def test_peak_torque_is_that_of_both_stances(robot, tilt):
+def test_peak_torque_is_that_of_the_leg_in_the_air_above_its_place_and_of_the_leg_on_it(robot, tilt):
     stand = Stand(robot, tilt=tilt)
     found = stand.map(2, collision=None, footfalls=None, max_torque_fraction=np.inf)
-    cells = np.argwhere(found.ok)[::23]
+    cells = np.argwhere(found.ok)[::7]
     q = np.array([found.joints[ix, iy] for ix, iy in cells])
     places = np.array([stand.places().reshape(*stand.grid.shape, 3)[ix, iy] for ix, iy in cells])
-    peaks = peak_torques(stand.kin, stand.joints, 2, q, places=places, world_from_hex=stand.pose)
-    gravity = stand.pose.inverse().rotate(-GRAVITY * UP)
-    for angles, peak in zip(q, peaks, strict=True):
-        joints, each = stand.joints.copy(), []
-        joints[2] = angles
-        for standing in (np.arange(6) != 2, np.ones(6, dtype=bool)):
-            forces, contacts = stance_loads(stand.kin, joints, supporting=standing, gravity_in_hex=gravity)
-            fractions = torque_fractions(
-                stand.kin, joints, wheel_forces_in_hex=forces, contact_in_hex=contacts, gravity_in_hex=gravity
-            )
-            each.append(np.abs(fractions).max())
-        assert peak == pytest.approx(max(each), rel=1e-5)
+    above = places + (stand.spec.wheel.radius + 0.5) * UP
+    down = stand.pose.inverse().rotate(-UP)
+    lifted, there = leg_ik(stand.spec, 2, stand.pose.inverse().apply(above), last_link_in_hex=down)
+    q, places, lifted = q[there], places[there], lifted[there]
+    assert len(q) > 5
+    by_pinocchio = Afloat(stand.spec)
+    air, ground, as_landed = np.empty(len(q)), np.empty(len(q)), np.empty(len(q))
+    for k in range(len(q)):
+        joints = stand.joints.copy()
+        joints[2] = q[k]
+        ground[k] = by_pinocchio.peak(stand.pose, joints, np.ones(6, dtype=bool))
+        as_landed[k] = by_pinocchio.peak(stand.pose, joints, np.arange(6) != 2)
+        joints[2] = lifted[k]
+        air[k] = by_pinocchio.peak(stand.pose, joints, np.arange(6) != 2)
+    peaks = peak_torques(stand.kin, stand.joints, 2, q, lifted=lifted, places=places, world_from_hex=stand.pose)
+    assert peaks == pytest.approx(np.maximum(air, ground), rel=1e-5)
+    assert np.abs(air - as_landed).max() > 1e-3  # it does matter where the leg hangs
+    just_off = peak_torques(stand.kin, stand.joints, 2, q, places=places, world_from_hex=stand.pose)
+    assert just_off == pytest.approx(np.maximum(as_landed, ground), rel=1e-5)
+
+
+def test_the_map_judges_the_torque_of_the_leg_lifted_above_each_cell(stand):
+    found = stand.map(2, collision=None, footfalls=None, max_torque_fraction=np.inf, lift=0.5)
+    cells, by_pinocchio = np.argwhere(found.ok)[::7], Afloat(stand.spec)
+    places, peaks = stand.places().reshape(*stand.grid.shape, 3), []
+    for ix, iy in cells:
+        wheel = stand.pose.inverse().apply(places[ix, iy] + (stand.spec.wheel.radius + 0.5) * UP)
+        lifted, there = leg_ik(stand.spec, 2, wheel[None], last_link_in_hex=stand.pose.inverse().rotate(-UP))
+        assert there[0]
+        each = []
+        for angles, standing in ((lifted[0], np.arange(6) != 2), (found.joints[ix, iy], np.ones(6, dtype=bool))):
+            joints = stand.joints.copy()
+            joints[2] = angles
+            each.append(by_pinocchio.peak(stand.pose, joints, standing))
+        peaks.append(max(each))
+    for limit in np.quantile(peaks, [0.2, 0.5, 0.8]):
+        judged = stand.map(2, collision=None, footfalls=None, max_torque_fraction=float(limit) * (1.0 + 1e-6), lift=0.5)
+        for (ix, iy), peak in zip(cells, peaks, strict=True):
+            assert (judged.reason[ix, iy] == OK) == (peak <= limit)
 
 
 def test_five_wheels_on_one_line_are_refused_by_name(stand, monkeypatch):
@@ -218,6 +280,9 @@ def test_wrong_use_is_refused(stand):
         stand.config(lift=-0.1)
     with pytest.raises(SupportError, match=r"max_torque_fraction is 0\.0"):
         stand.config(max_torque_fraction=0.0)
+    with pytest.raises(SupportError, match=r"lifted angles have shape \(1, .\), the landed ones \(2, .\)"):
+        two = stand.joints[:2]
+        peak_torques(stand.kin, stand.joints, 0, two, lifted=two[:1], places=np.zeros((2, 3)), world_from_hex=stand.pose)
     with pytest.raises(SupportError, match=r"max_lean_deg is 0\.0 deg"):
         stand.config(max_lean_deg=0.0)
     with pytest.raises(SupportError, match="between 0 and 90"):
