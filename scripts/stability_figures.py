@@ -9,7 +9,8 @@ from bench_table import Row, row
 from stability_oracle import PATIENT_STARTS, STARTS, reaches
 from stability_scene import SIZES, StabilityScene, stability_scene
 
-from athlete_twin.model.kinematics import GRAVITY
+from athlete_twin.geometry.arrays import Joints, PerLegFlag
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.load_bearing import load_bearing
 from athlete_twin.model.load_family import least_torque_loads
 from athlete_twin.model.reach import leg_ik
@@ -17,8 +18,8 @@ from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.statics import peak_torque_fraction
 from planner.stability.ground_map import LAST_LINK, UNKNOWN, UNREACHABLE, GroundMap, ground_maps
 
-QUICK, WHOLE, FALSE, MISSED = "<= 1.0", "<= 3.0", "<= 0.005", "<= 0.03"
-"""targets: seconds without and with collisions, shares of cells"""
+QUICK, WHOLE, FALSE, MISSED, TORQUE = "<= 1.0", "<= 3.0", "<= 0.005", "<= 0.03", "<= 1.0"
+"""targets: seconds without and with collisions, shares of cells, peak torque over the joints' limits"""
 RUNS = 3
 AREA_CELL = 0.05
 """of the load-bearing workspace's area [m]"""
@@ -73,9 +74,6 @@ def _load_rows(robot: str, scene: StabilityScene) -> list[Row]:
     places = flat.reshape(-1, 3) + [*spec.hips_in_hex[0, :2], 0.0]
     able = load_bearing(spec, 0, places, load=spec.mass * GRAVITY / 3.0)
     reach = AREA_CELL**2 * float(_reaches_leaning(spec, 0, places).sum())
-    standing = np.arange(LEGS) != 0
-    rigid = peak_torque_fraction(kin, scene.joints, supporting=standing)
-    best = least_torque_loads(kin, scene.joints, supporting=standing, friction=FRICTION)
     return [
         row(
             f"{robot}: ground that a leg reaches with a plumb last link, level stance", AREA_CELL**2 * float(able.reaches.sum()), "m2",
@@ -85,11 +83,17 @@ def _load_rows(robot: str, scene: StabilityScene) -> list[Row]:
             f"{robot}: ground on which a leg can carry a third of the weight, level stance", AREA_CELL**2 * float(able.carries.sum()),
             "m2", peer_name=REACH_NAME, peer=reach,
         ),
-        row(
-            f"{robot}: peak joint torque with leg 1 up, best forces at friction {FRICTION}", best.peak_torque_fraction, "of the limit",
-            peer_name="zero interaction", peer=rigid,
-        ),
+        _best_forces(robot, kin, scene.joints, np.arange(LEGS) != 0, "leg 1 up"),
     ]  # fmt: skip
+
+
+def _best_forces(robot: str, kin: Kinematics, joints: Joints, standing: PerLegFlag, stance: str) -> Row:
+    """Peak torque of a stance with the best forces of the ground; a no with its reason where none hold it."""
+    best = least_torque_loads(kin, joints, supporting=standing, friction=FRICTION)
+    return row(
+        f"{robot}: peak joint torque with {stance}, best forces at friction {FRICTION}", best.peak_torque_fraction, "of the limit",
+        target=TORQUE, peer_name="zero interaction", peer=peak_torque_fraction(kin, joints, supporting=standing), no=best.reason,
+    )  # fmt: skip
 
 
 def _reaches_leaning(spec: RobotSpec, leg: int, axles: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ import pytest
 from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import load_spec
+from athlete_twin.model.stance import regular_stance
 
 KEYS = {"name", "ours", "unit", "peer_name", "peer", "ratio", "target", "met"}
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -43,6 +44,18 @@ def test_rows_have_the_benchmarks_shape(script):
     rows = script("stability_figures").rows(robots=("sdm_b",), cells=4)
     assert all(set(r) == KEYS for r in rows)
     assert sum(r["ours"] for r in rows if "share of cells" in r["name"]) == pytest.approx(1.0)
+
+
+def test_a_stance_that_nothing_holds_is_a_no_with_its_reason(script):
+    """Three neighbouring wheels have the centre of mass outside: forces that only push cannot hold it."""
+    figures, spec = script("stability_figures"), load_spec("sdm_b")
+    kin, joints = Kinematics(spec), regular_stance(spec)
+    refused, held = (
+        figures._best_forces("sdm_b", kin, joints, np.isin(np.arange(6), legs), "three legs up") for legs in ((0, 1, 2), (0, 2, 4))
+    )
+    assert set(refused) == KEYS
+    assert refused["ours"] is None and refused["met"] is False and "no pushing forces within friction 0.5 on 3 wheels" in refused["name"]
+    assert 0.0 < held["ours"] <= held["peer"] and held["met"] is True
 
 
 def test_picture_is_drawn(bench, tmp_path):
