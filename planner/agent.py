@@ -483,7 +483,9 @@ class GroundAgent:
                 # What nobody saw may hide a rock as high as the highest beside it, and a little more.
                 grid, filled = fused.grid, fused.filled("nearest").grid
                 cautious = fused.filled("highest", margin=UNKNOWN_RISE).grid
-            variance = np.where(np.isfinite(fused.variance), fused.variance, 0.0)
+            # A cell that is believed to be as high as its neighbours is believed to be sure; any other of which nobody knows is not.
+            believed = fused.unknown & (config.unknown_terrain == "flat")
+            variance = np.where(believed, 0.0, fused.variance)
         footfalls = score_footfalls(grid, variance, wheel_radius=self.spec.wheel.radius, config=config.footfall)
         return Ground(heights=grid, filled=filled, cautious=cautious, footfalls=footfalls)
 

@@ -50,11 +50,13 @@ class FootfallConfig(CostConfig):
         if not 0.0 <= self.max_unknown_fraction < 1.0:
             raise ConfigError(f"max_unknown_fraction is {self.max_unknown_fraction}, must be at least 0 and below 1")
         for name in ("max_sigma", "max_slope_deg", "max_height_range", "max_mean_gap"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0.0):
+            if not 0.0 < getattr(self, name) < np.inf:
                 raise ConfigError(f"{name} is {getattr(self, name)}, must be positive and finite")
+        if not self.max_slope_deg < 90.0:
+            raise ConfigError(f"max_slope_deg is {self.max_slope_deg}, must be below 90")
         for name in ("flank_clearance", "flank_tolerance"):
-            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
-                raise ConfigError(f"{name} is {getattr(self, name)} m, must be finite and not negative")
+            if not 0.0 <= getattr(self, name) < np.inf:
+                raise ConfigError(f"{name} is {getattr(self, name)} m, must be 0 or more and finite")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -93,17 +95,23 @@ def score_footfalls(
 
     Args:
         grid: heights, NaN where unknown.
-        variance: of the heights, same shape [m2]; a cell without a finite one is unknown.
+        variance: of the heights, same shape [m2]; NaN or infinite makes a cell unknown ground, whatever its height.
         wheel_radius: [m]
         config: method and limits.
+
+    Raises:
+        TerrainError: of shapes, a map smaller than a footprint, a wheel without radius, or a negative variance.
     """
     heights = np.asarray(grid.heights, dtype=np.float64)
     if variance.shape != heights.shape:
         raise TerrainError(f"variance has shape {variance.shape}, the heights {heights.shape}")
-    if (variance < 0.0).any():
-        raise TerrainError(f"variance of heights is {float(np.nanmin(variance)):g} m2 at its least, must not be negative")
-    if not (np.isfinite(wheel_radius) and wheel_radius > 0.0):
-        raise TerrainError(f"wheel radius is {wheel_radius} m, must be positive")
+    below = variance < 0.0
+    if below.any():
+        i, j = (int(k) for k in np.argwhere(below)[0])
+        limit = "must not be negative; NaN or infinite for unknown ground"
+        raise TerrainError(f"variance is {variance[i, j]:g} m2 at cell ({i}, {j}), {limit}")
+    if not 0.0 < wheel_radius < np.inf:
+        raise TerrainError(f"wheel radius is {wheel_radius} m, must be positive and finite")
     radius = config.footprint_radius(wheel_radius)
     foot = footprint(radius, grid.cell, shape=config.shape)
     if min(heights.shape) < foot.shape[0]:
@@ -112,14 +120,14 @@ def score_footfalls(
     filled = _fill(heights, known, foot)
 
     n = float(foot.sum())
-    refused = 1.0 - _count(known, foot, cv2.BORDER_CONSTANT) / n > config.max_unknown_fraction + 1e-9
+    refused = 1.0 - _count(known, foot) / n > config.max_unknown_fraction + 1e-9
     under = underfoot(filled, foot, cell=grid.cell)
     # A wheel on a plane touches it beside its axle's foot: its axle stands higher by R (1 / cos - 1).
     contact = under.mean + wheel_radius * (np.hypot(1.0, under.steepness) - 1.0)
     intrusion = _flank_intrusion(filled, known, grid.cell, radius, wheel_radius, config.flank_clearance) - contact
-    sigma2 = window_sum(np.where(known, variance, 0.0), foot) / np.maximum(_count(known, foot, cv2.BORDER_REPLICATE), 1.0)
-    # An unknown cell may be as wrong as the worst that is let pass.
+    # An unknown cell may be as wrong as the worst that is let pass: the mean is beyond the limit where that of the known is.
     supposed = np.where(known, variance, config.max_sigma**2)
+    sigma2 = window_sum(supposed, foot) / n
 
     veto = np.select(
         [
@@ -151,13 +159,13 @@ def _fill(heights: np.ndarray, known: np.ndarray, foot: np.ndarray) -> np.ndarra
         return np.ascontiguousarray(heights)
     around = np.ones((max(foot.shape[0], 3),) * 2)
     total = window_sum(np.where(known, heights - level, 0.0), around, border=0.0)
-    count = np.maximum(_count(known, around, cv2.BORDER_CONSTANT), 1.0)
+    count = np.maximum(_count(known, around), 1.0)
     return np.ascontiguousarray(np.where(known, heights, level + total / count))
 
 
-def _count(what: np.ndarray, foot: np.ndarray, border: int) -> np.ndarray:
-    """Number of true cells under each footprint; single precision holds it exactly, and is filtered faster."""
-    counted = cv2.filter2D(what.astype(np.float32), cv2.CV_32F, foot.astype(np.float32), borderType=border)
+def _count(what: np.ndarray, foot: np.ndarray) -> np.ndarray:
+    """Number of true cells under each footprint, none beyond the map; single precision holds it exactly, and is filtered faster."""
+    counted = cv2.filter2D(what.astype(np.float32), cv2.CV_32F, foot.astype(np.float32), borderType=cv2.BORDER_CONSTANT)
     return np.asarray(np.rint(counted.astype(np.float64)))
 
 

@@ -66,8 +66,9 @@ class CostConfig:
     """side of the square round a cell among which the least is sought [m]; the regions of [Caillas1989] s3.2.2"""
     asv_slope_deg: float = 14.0
     """slope up to which "asv_slope" takes any ground [deg]; the steepest on which SDM-B was walked"""
-    deviations: float = 0.0
-    """by so many sigma the highest point is taken to be higher and all others lower; 0 scores the heights as they are"""
+    deviations: float = 1.0
+    """by so many sigma the highest point is taken to be higher and all others lower; 1 is the map's own statement of how far
+    heights are off, and adds to `plane_fit` what noise of that sigma adds; 0 scores the heights as they are"""
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:

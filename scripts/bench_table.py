@@ -2,7 +2,8 @@
 
 A row: our figure, a peer's measured in the same run (null where there is none), their ratio, a target such as "<= 1.0",
 "> 2" or "0.85 - 0.95", and whether it is met. The target is for the ratio where the row is made `of="ratio"`, for our
-figure otherwise. A figure that was not measured is null, and so is its verdict.
+figure otherwise. A figure that was not measured is null, and so is its verdict. A question whose answer is no, such as the
+torque of a stance that nothing holds, has no figure either, but a verdict: not met, with the reason in the row's name.
 """
 
 from __future__ import annotations
@@ -30,24 +31,28 @@ def row(
     of: Literal["ours", "ratio"] = "ours",
     peer_name: str | None = None,
     peer: float | None = None,
+    no: str = "",
 ) -> Row:
     """One line of a benchmark.
 
     Args:
         name: what was measured, and on what.
-        ours: our figure; None or not finite where it was not measured.
+        ours: our figure; None or NaN where it was not measured; infinite is null too, and judged.
         unit: of both figures.
         target: such as ">= 5.0" or "0.85 - 0.95"; empty where none was set.
         of: whether the target is for our figure or for ours over the peer's.
         peer_name: who was measured beside us in the same run.
         peer: its figure.
+        no: why there is no figure and the target, if any, is missed.
     """
-    own = None if ours is None or not math.isfinite(ours) else float(ours)
+    measured = None if ours is None or math.isnan(ours) else float(ours)
+    own = measured if measured is not None and math.isfinite(measured) and not no else None
     ratio = own / peer if own is not None and peer else None
-    judged = ratio if of == "ratio" else own
+    judged = ratio if of == "ratio" else measured
+    met = None if judged is None or not target else meets(judged, target)
     return {
-        "name": name, "ours": own, "unit": unit, "peer_name": peer_name, "peer": peer, "ratio": ratio, "target": target,
-        "met": None if judged is None or not target else meets(judged, target),
+        "name": f"{name}: no, {no}" if no else name, "ours": own, "unit": unit, "peer_name": peer_name, "peer": peer, "ratio": ratio,
+        "target": target, "met": False if no else met,
     }  # fmt: skip
 
 

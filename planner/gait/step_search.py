@@ -188,7 +188,7 @@ def search_step(
         return NoStep(reason=f"no stable, reachable footfall for leg {leg + 1}", refused=dict(refused))
     if np.isfinite(config.search.footfall_torque_fraction):
         carries = peak_torques(
-            kin, belief.joints, leg, landed, lifted, places=places, world_from_hex=swing_pose, payload_kg=payload_kg
+            kin, belief.joints, leg, landed, lifted=lifted, places=places, world_from_hex=swing_pose, payload_kg=payload_kg
         ) <= config.search.footfall_torque_fraction
         refused["footfall_torque"] += int(np.sum(~carries))
         places = places[carries]

@@ -132,14 +132,14 @@ def ground_map(
     out = near[~judged.reachable]
     tilted = _reached_tilted(spec, leg, places[out], world_from_hex, config)
     reason[out[tilted]] = LAST_LINK
-    reached = near[judged.reachable]
+    reached, lifted = near[judged.reachable], judged.lifted[judged.reachable]
     upright = _lean(spec, leg, q[reached], world_from_hex) <= np.deg2rad(config.max_lean_deg)
     reason[reached[~upright]] = LAST_LINK
     q[reached[~upright]] = np.nan
-    reached = reached[upright]
+    reached, lifted = reached[upright], lifted[upright]
     if config.max_torque_fraction < np.inf and len(reached):
         peaks = peak_torques(
-            kinematics, joints, leg, q[reached], lifted[reached], places=places[reached], world_from_hex=world_from_hex,
+            kinematics, joints, leg, q[reached], lifted=lifted, places=places[reached], world_from_hex=world_from_hex,
             payload_kg=payload_kg,
         )  # fmt: skip
         heavy = reached[~(peaks <= config.max_torque_fraction)]

@@ -55,7 +55,7 @@ class StabilityMap:
     joints: np.ndarray
     """of the leg with the wheel on the ground, shape (n, dof), NaN where it does not reach [rad]"""
     lifted: np.ndarray
-    """the same with the wheel in the air above it, shape (n, dof) [rad]"""
+    """of the leg at the way-point above it, the same [rad]"""
     margin: np.ndarray
     """plain support margin with all wheels down, shape (n,), NaN where the leg does not reach [m]"""
     cps_margin: np.ndarray

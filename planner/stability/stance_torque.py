@@ -1,7 +1,7 @@
 """Largest static joint torque of many stances that differ in where one leg stands, by rigid zero-interaction loads.
 
-Two stances are judged of each place: the five others carrying while the leg is in the air, its mass above the place, and all
-six with the wheel down. The other legs' torques are linear in their wheels' forces, so their matrices are taken from
+Two stances are judged of each place: the five others carrying while the leg is in the air above the place, as far lifted as the
+caller says, and all six with the wheel down. The other legs' torques are linear in their wheels' forces, so their matrices are taken from
 Pinocchio once; the moving leg's own are summed over its links here, for all places at once.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from athlete_twin.errors import SupportError
 from athlete_twin.geometry.arrays import Joints, Points3
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -25,10 +26,10 @@ def peak_torques(
     joints: Joints,
     leg: int,
     q: np.ndarray,
-    lifted: np.ndarray,
     *,
     places: Points3,
     world_from_hex: SE3,
+    lifted: np.ndarray | None = None,
     payload_kg: float = 0.0,
 ) -> np.ndarray:
     """Largest joint torque over its limit, with the leg in the air and on the ground, the larger, shape (n,).
@@ -38,11 +39,14 @@ def peak_torques(
         joints: of all legs, shape (6, dof) [rad]; the leg's own row does not matter.
         leg: index 0 to 5.
         q: the leg's angles with its wheel on each place, shape (n, dof), finite [rad].
-        lifted: and in the air above it, shape (n, dof), finite [rad].
         places: contacts in world, shape (n, 3) [m].
         world_from_hex: the chassis.
+        lifted: the leg's angles in the air above each place, shape (n, dof), finite [rad]; None for a wheel just off the ground.
         payload_kg: [kg]
     """
+    in_air = q if lifted is None else lifted
+    if in_air.shape != q.shape:
+        raise SupportError(f"lifted angles have shape {in_air.shape}, the landed ones {q.shape}; each place needs both")
     spec, n = kinematics.spec, len(q)
     hex_from_world = world_from_hex.inverse()
     down = hex_from_world.rotate(-UP)
@@ -55,7 +59,7 @@ def peak_torques(
     at_others = kinematics.wheels_in_hex(joints)[others] + spec.wheel.radius * down
     wheel_loads(at_others, kinematics.com_in_hex(joints, payload_kg), weight=weight, gravity_direction=down)
     peak = np.zeros(n)
-    for standing, angles in ((others, lifted), (list(range(LEGS)), q)):
+    for standing, angles in ((others, in_air), (list(range(LEGS)), q)):
         com = com_with_leg(kinematics, joints, leg, angles, payload_kg)
         forces = zero_interaction(contacts[:, standing], com, weight=weight, down=down)
         on_others = forces[:, [standing.index(other) for other in others]]

@@ -87,6 +87,13 @@ def test_every_footfall_method_can_be_chosen_and_weighs_about_the_same(method):
     assert (own.footfall.soil_n, own.footfall.footprint_diameter, own.step.search.typical_terrain) == (0.9, 0.3, 0.5)
 
 
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_variants_with_a_map_cost_heights_as_they_are(name):
+    """The typical costs by which a step search weighs are of heights without their doubt."""
+    config = planner_config(content(name), load_spec("sdm_b"), name=name)
+    assert config.fusion_method == "flat" or config.footfall.deviations == 0.0
+
+
 def test_the_shipped_variants_weigh_footfalls_as_the_step_search_does_by_itself():
     config = planner_config(content("integrated"), load_spec("sdm_b"), name="x")
     assert config.step.search.typical_terrain == SearchConfig().typical_terrain

@@ -13,7 +13,8 @@ def _grid(heights, cell=CELL):
 
 
 def _score(heights, *, cell=CELL, variance=1e-4, wheel_radius=WHEEL, **config):
-    spread = np.full(heights.shape, variance)
+    spread = np.broadcast_to(variance, heights.shape).astype(float)
+    config.setdefault("deviations", 0.0)  # costs of the heights as they are, unless a test asks
     return score_footfalls(_grid(heights, cell), spread, wheel_radius=wheel_radius, config=FootfallConfig(**config))
 
 
@@ -128,29 +129,28 @@ def test_uncertain_heights_are_refused():
     assert _veto_at(_score(np.zeros((30, 30)), variance=0.03**2), 15, 15) == "ok"
 
 
-@pytest.mark.parametrize("variance", [np.nan, np.inf])
-def test_a_cell_whose_variance_nobody_knows_is_unknown_ground(variance):
-    heights = 0.02 * np.random.default_rng(5).normal(size=(40, 40))
-    spread = np.full(heights.shape, 1e-4)
-    spread[10:20, 10:20] = variance
-    lost = np.where(np.isfinite(spread), heights, np.nan)
-    score = dict(wheel_radius=WHEEL, config=FootfallConfig())
-    doubted, unknown = score_footfalls(_grid(heights), spread, **score), score_footfalls(_grid(lost), np.full(lost.shape, 1e-4), **score)
-    assert _veto_at(doubted, 15, 15) == "unknown"
-    np.testing.assert_array_equal(doubted.veto, unknown.veto)
-    np.testing.assert_array_equal(doubted.cost, unknown.cost)
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+@pytest.mark.parametrize("method", METHODS)
+def test_a_height_of_which_nobody_knows_how_sure_it_is_counts_as_unknown(method, lost):
+    heights = 0.01 * np.random.default_rng(9).normal(size=(60, 60))
+    unknown, spread = heights.copy(), np.full(heights.shape, 1e-4)
+    unknown[38:43, 38:43] = np.nan
+    unknown[20, 20] = np.nan
+    spread[np.isnan(unknown)] = lost
+    scored = _score(heights, variance=spread, method=method, deviations=1.0)
+    assert _veto_at(scored, 40, 40) == "unknown"
+    assert _veto_at(scored, 20, 20) == "ok"
+    expected = _score(unknown, method=method, deviations=1.0)
+    assert scored.veto.tobytes() == expected.veto.tobytes()
+    assert np.array_equal(scored.cost, expected.cost, equal_nan=True)
+    assert np.array_equal(scored.contact_height, expected.contact_height, equal_nan=True)
 
 
-def test_a_negative_variance_is_refused():
-    with pytest.raises(TerrainError, match=r"variance of heights is -0\.001 m2"):
-        _score(np.zeros((30, 30)), variance=-1e-3)
-
-
-@pytest.mark.parametrize("name", ["max_sigma", "max_slope_deg", "flank_clearance", "flank_tolerance"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -1.0])
-def test_limits_are_finite(name, value):
-    with pytest.raises(ConfigError, match=name):
-        FootfallConfig(**{name: value})
+def test_an_unknown_cell_never_hides_that_the_others_are_uncertain():
+    heights, spread = np.zeros((30, 30)), np.full((30, 30), 0.041**2)
+    spread[15, 15] = np.nan
+    assert _veto_at(_score(heights, variance=spread), 15, 15) == "uncertain"
+    assert _veto_at(_score(heights, variance=np.where(np.isnan(spread), np.nan, 0.039**2)), 15, 15) == "ok"
 
 
 def test_reason_at_a_point_is_the_cell_it_lies_in():
@@ -199,6 +199,35 @@ def test_the_ambler_s_foot_is_a_disc_of_30_cm_under_any_wheel():
     assert np.array_equal(costs[0], own, equal_nan=True)
 
 
+@pytest.mark.parametrize("limit", ["max_sigma", "max_slope_deg", "max_height_range", "max_mean_gap", "flank_clearance", "flank_tolerance"])
+@pytest.mark.parametrize("value", [-0.1, float("nan"), float("inf")])
+def test_limits_that_mean_nothing_are_named_with_their_value(limit, value):
+    with pytest.raises(ConfigError, match=f"{limit} is {value}"):
+        FootfallConfig(**{limit: value})
+
+
+@pytest.mark.parametrize("value", [-0.1, 1.0, float("nan")])
+def test_a_share_of_unknown_ground_that_means_nothing_is_named(value):
+    with pytest.raises(ConfigError, match=f"max_unknown_fraction is {value}"):
+        FootfallConfig(max_unknown_fraction=value)
+
+
+def test_a_slope_limit_of_a_wall_is_refused():
+    with pytest.raises(ConfigError, match=r"max_slope_deg is 90\.0, must be below 90"):
+        FootfallConfig(max_slope_deg=90.0)
+
+
+def test_variance_counts_unless_it_is_asked_not_to():
+    heights = 0.02 * np.random.default_rng(10).normal(size=(40, 40))
+    spread = np.full(heights.shape, 1e-6)
+    spread[:, 20:] = 4e-4
+    grid = _grid(np.concatenate([heights[:, :20], heights[:, 19::-1]], axis=1))  # mirrored about the middle, less sure beyond it
+    scored = score_footfalls(grid, spread, wheel_radius=WHEEL, config=FootfallConfig())
+    assert (scored.cost[5:-5, 28:35] > scored.cost[5:-5, 11:4:-1]).all()
+    blind = score_footfalls(grid, spread, wheel_radius=WHEEL, config=FootfallConfig(deviations=0.0))
+    assert blind.cost[5:-5, 28:35] == pytest.approx(blind.cost[5:-5, 11:4:-1])
+
+
 def test_wrong_use_is_refused():
     with pytest.raises(ConfigError, match="'guess' is not one of max_min, plane_fit, support_area"):
         FootfallConfig(method="guess")
@@ -210,8 +239,12 @@ def test_wrong_use_is_refused():
         FootfallConfig(footprint_fraction=3.0)
     with pytest.raises(ConfigError, match="max_unknown_fraction is 1"):
         FootfallConfig(max_unknown_fraction=1.0)
-    with pytest.raises(ConfigError, match="flank_clearance"):
-        FootfallConfig(flank_clearance=-0.1)
+    with pytest.raises(TerrainError, match=r"variance is -0\.0001 m2 at cell \(3, 4\), must not be negative; NaN or infinite"):
+        spread = np.full((30, 30), 1e-4)
+        spread[3, 4] *= -1.0
+        _score(np.zeros((30, 30)), variance=spread)
+    with pytest.raises(TerrainError, match="wheel radius is inf"):
+        _score(np.zeros((30, 30)), wheel_radius=float("inf"))
     with pytest.raises(TerrainError, match=r"map of \(4, 4\) cells is smaller than a footprint of \(7, 7\) cells"):
         _score(np.zeros((4, 4)))
     with pytest.raises(TerrainError, match=r"map of \(30, 4\) cells is smaller"):

@@ -32,6 +32,21 @@ def test_what_was_not_measured_is_null_and_judged_by_nobody(ours):
     assert r["ours"] is None and r["met"] is None
 
 
+@pytest.mark.parametrize(("ours", "target"), [(float("-inf"), ">= 0.30"), (float("inf"), "<= 1.0")])
+def test_a_figure_beyond_all_numbers_was_measured_and_misses(ours, target):
+    r = table.row("margin of a stance that nothing holds", ours, "m", target=target)
+    assert r["met"] is False and r["ours"] is None
+    json.dumps(r, allow_nan=False)
+
+
+def test_a_no_stands_with_its_reason(capsys):
+    r = table.row("peak torque", float("nan"), "of the limit", peer_name="other", peer=0.4, no="no pushing forces hold the stance")
+    assert (r["name"], r["ours"], r["ratio"], r["met"]) == ("peak torque: no, no pushing forces hold the stance", None, None, False)
+    assert set(r) == KEYS
+    table.show([r], as_json=False)
+    assert "no pushing forces" in " ".join(capsys.readouterr().out.split())
+
+
 def test_a_target_that_cannot_be_read_is_refused():
     with pytest.raises(ValueError, match="neither a comparison"):
         table.row("x", 1.0, "s", target="about 3")

@@ -167,7 +167,9 @@ def test_the_peer_s_line_of_numpy_is_the_same_cost(scripts, foot):
     """Otherwise the two times compare nothing."""
     speed = scripts["speed"]
     for method in speed.METHODS:
-        config = speed.FootfallConfig(method=method, footprint_diameter=0.30 if "disc" in foot else None, asv_slope_deg=1e-6)
+        config = speed.FootfallConfig(
+            method=method, footprint_diameter=0.30 if "disc" in foot else None, asv_slope_deg=1e-6, deviations=0.0
+        )
         heights = speed._ground(25)
         grid = speed.HeightGrid(origin_x=0.0, origin_y=0.0, cell=speed.CELL, heights=heights)
         ours = speed.score_footfalls(grid, np.full(heights.shape, 1e-4), wheel_radius=0.242, config=config).cost

@@ -62,6 +62,7 @@ def test_margins_equal_those_of_each_stance_computed_alone(standing):
             robot.spec, leg, world_from_hex.inverse().apply(places[i : i + 1] + wheel + [0.0, 0.0, 0.2])
         )
         assert ok.all()
+        assert judged.lifted[i] == pytest.approx(lifted[0])
         moved[leg] = lifted[0]
         swing = support_margin(world_from_hex.apply(robot.com_in_hex(moved)), np.delete(contacts, leg, axis=0))
         assert judged.swing_margin[i] == pytest.approx(swing, abs=MICROMETRE)
