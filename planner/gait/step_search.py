@@ -353,8 +353,9 @@ def _try(
     depth = sag.reload + touch.search_depth
     ends = np.array([above, hex_from_world.apply(axle), hex_from_world.apply(axle - depth * UP)])
     q, ok = leg_ik(spec, leg, ends, last_link_in_hex=down)
-    # With its load back on the wheel the leg's deck is no longer twisted.
-    standing_q, stands = leg_ik(spec, leg, swing_pose.inverse().apply(axle[None]), last_link_in_hex=swing_pose.inverse().rotate(-UP))
+    # With its load back on the wheel the chassis is back up, and the leg's deck no longer twisted.
+    hex_from_landed = belief.world_from_hex.inverse()
+    standing_q, stands = leg_ik(spec, leg, hex_from_landed.apply(axle[None]), last_link_in_hex=hex_from_landed.rotate(-UP))
     if not (ok.all() and stands.all()):
         refused["descent_reach"] += 1
         return None

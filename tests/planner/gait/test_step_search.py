@@ -85,6 +85,14 @@ def test_the_way_down_ends_below_the_footfall_and_the_wheel_arrives_above_it(rob
 
 
 @pytest.mark.parametrize("leg", LEGS)
+def test_after_the_step_the_wheel_stands_on_its_footfall_under_the_chassis_that_is_back_up(robot, on, field, leg):
+    """Not where the sagged chassis of the swing would have it, which floats by all that the chassis has come up."""
+    plan, radius = planned(robot, on(robot, field()), leg=leg), robot.spec.wheel.radius
+    axle = plan.preview_world_from_hex[-1].apply(robot.kin.leg_wheel(leg, plan.preview_joints[-1][leg]).translation)
+    np.testing.assert_allclose(axle, plan.footfall_in_world + [0.0, 0.0, radius], atol=MILLIMETRE)
+
+
+@pytest.mark.parametrize("leg", LEGS)
 def test_a_mirrored_problem_has_the_mirrored_step(robot, on, field, leg):
     nominal = planned(robot, on(robot, field()), leg=leg).footfall_in_world
     rock = (nominal[0] + 0.04, nominal[1] - 0.05, *ROCK[robot.spec.name])
