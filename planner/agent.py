@@ -329,6 +329,7 @@ class GroundAgent:
                 footfall_xy=forced_xy,
                 refused_xy=self._recovery.refused_xy,
                 extra_lift=self._recovery.extra_lift,
+                next_leg=self._upcoming(belief, heading, leg)[0],
                 cautious=cautious,
             )
             self._ground_s += SECONDS_PER_PLAN
@@ -543,10 +544,7 @@ class GroundAgent:
             return ()
         offset = self.goal - belief.world_from_hex.translation[:2]
         heading = offset / max(float(np.linalg.norm(offset)), 1e-9)
-        later = Counter(self.stepped)
-        later[plan.leg] += 1
-        wave = reverse_wave(self.spec, (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2])
-        upcoming = sorted(wave, key=lambda leg: later[leg])[:3]
+        upcoming = self._upcoming(belief, heading, plan.leg)[:3]
         places = regular_places(self.spec, belief.world_from_hex) + 0.5 * stride(self.spec, self.config.step.gait) * heading
         names: dict[str, None] = {}
         hex_from_world = belief.world_from_hex.inverse()
@@ -557,6 +555,13 @@ class GroundAgent:
                 for name in seeing(self.spec, hex_from_world.apply(point), most=2):
                     names[name] = None
         return tuple(names)[: self.config.survey.each_step]
+
+    def _upcoming(self, belief: Belief, heading: Vec2, leg: int) -> list[int]:
+        """All legs in the order in which their turns come once `leg` has stepped."""
+        later = Counter(self.stepped)
+        later[leg] += 1
+        wave = reverse_wave(self.spec, (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2])
+        return sorted(wave, key=lambda other: later[other])
 
     def _as_sequence(self, commands: list[Command], t: float, *, cameras: tuple[str, ...] = ()) -> CommandSequence:
         sequence = as_sequence(

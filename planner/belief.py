@@ -13,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Joints, PerLeg, PerLegFlag, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, LegJoints, PerLeg, PerLegFlag, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import Telemetry
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS
 from athlete_twin.model.statics import stance_loads
 from planner.perception.localise import WheelFitConfig, fit_wheels
+from planner.sag.leg_compliance import series_stiffness
 from planner.sag.sag_model import AIRBORNE, FootSprings, SagSolution, solve_sag
 
 
@@ -41,6 +42,10 @@ class Belief:
     interaction: Wheels
     """forces of the ground on the wheels beyond the zero-interaction ones: legs that work against each other, from the
     measured torques, in hex, shape (6, 3) [N]; zero unless all wheels stand"""
+    forces: Wheels
+    """of the ground on the wheels by the measured torques, in hex, shape (6, 3) [N]"""
+    joint_stiffness: LegJoints
+    """of the joints of a leg, from torques and wind-up, shape (dof,); infinite where none shows [N m/rad]"""
     fit_rmse: float
     """how well wheels and pose agree [m]"""
 
@@ -120,6 +125,9 @@ class BeliefFilter:
             world_from_hex, rmse = fit.world_from_hex, fit.rmse
             for leg in np.flatnonzero(self._planted & ~standing):
                 self._contacts[leg] = world_from_hex.apply(wheels[leg]) - np.array([0.0, 0.0, drop[leg]])
+        forces = np.array(
+            [self._kin.ground_force(leg, telemetry.joints, telemetry.torques[leg], gravity) for leg in range(LEGS)]
+        )
         return Belief(
             t=telemetry.t,
             joints=telemetry.joints.copy(),
@@ -128,20 +136,19 @@ class BeliefFilter:
             contacts_in_world=self._contacts.copy(),
             planted=self._planted.copy(),
             loads=loads,
-            interaction=self._interaction(telemetry, gravity),
+            interaction=self._interaction(telemetry, forces, gravity),
+            forces=forces,
+            joint_stiffness=series_stiffness(telemetry.torques, telemetry.motors - telemetry.joints),
             fit_rmse=rmse,
         )
 
-    def _interaction(self, telemetry: Telemetry, gravity: Vec3) -> Wheels:
+    def _interaction(self, telemetry: Telemetry, forces: Wheels, gravity: Vec3) -> Wheels:
         if not self._planted.all():
             return np.zeros((LEGS, 3))
-        measured = np.array(
-            [self._kin.ground_force(leg, telemetry.joints, telemetry.torques[leg], gravity) for leg in range(LEGS)]
-        )
         ideal, _ = stance_loads(
             self._kin, telemetry.joints, supporting=self._planted, gravity_in_hex=gravity, payload_kg=self._payload
         )
-        return np.asarray(measured - ideal)
+        return np.asarray(forces - ideal)
 
     def _loads(self, joints: Joints, gravity: Vec3, planted: PerLegFlag) -> PerLeg:
         solution = self.stance(joints, gravity, planted)

@@ -119,13 +119,16 @@ class Kinematics:
         q = self.pin_q(joints)
         self.pin_model.gravity.linear = np.asarray(gravity_in_hex, dtype=float)
         gravity = np.asarray(pin.computeGeneralizedGravity(self.pin_model, self.pin_data, q))[self._q_of[leg]]
+        patch = self.patch_jacobian(leg, joints, gravity_in_hex)
+        return np.asarray(np.linalg.lstsq(patch.T, gravity - torques, rcond=None)[0])
+
+    def patch_jacobian(self, leg: int, joints: Joints, gravity_in_hex: Vec3) -> np.ndarray:
+        """Derivative of the wheel's lowest point, held to its fork, in hex by the leg's joints, shape (3, dof) [m/rad]."""
         jacobian = pin.computeFrameJacobian(
-            self.pin_model, self.pin_data, q, self._wheel_frames[leg], pin.LOCAL_WORLD_ALIGNED
+            self.pin_model, self.pin_data, self.pin_q(joints), self._wheel_frames[leg], pin.LOCAL_WORLD_ALIGNED
         )[:, self._q_of[leg]]
-        down = gravity_in_hex / np.linalg.norm(gravity_in_hex)
-        arm = self.spec.wheel.radius * down
-        point = jacobian[:3] - np.cross(arm, jacobian[3:].T).T
-        return np.asarray(np.linalg.lstsq(point.T, gravity - torques, rcond=None)[0])
+        arm = self.spec.wheel.radius * gravity_in_hex / np.linalg.norm(gravity_in_hex)
+        return np.asarray(jacobian[:3] - np.cross(arm, jacobian[3:].T).T)
 
     def _place(self, joints: Joints) -> None:
         pin.forwardKinematics(self.pin_model, self.pin_data, self.pin_q(joints))

@@ -7,7 +7,7 @@ and no part comes near terrain or robot.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -19,16 +19,18 @@ from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import LEGS
 from athlete_twin.model.statics import peak_torque_fraction
 from planner.belief import Belief
+from planner.gait.relax import RelaxConfig, relaxing_offsets
 from planner.gait.skeleton import GaitConfig, shift_per_step
 from planner.gait.step_plan import BodyShift
 from planner.motion.collision import BodyCollision, CollisionConfig
-from planner.sag.sag_model import FootSprings
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import StabilityConfig
 
 DOWN = np.array([0.0, 0.0, -1.0])
 TORQUE_SLACK = 0.02
 FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
+SHARES = (1.0, 0.75, 0.5, 0.25)
+"""of an offset, tried until the leg reaches"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,20 +45,18 @@ class ShiftLimits:
     """[rad]"""
     max_torque_fraction: float = 0.8
     """of any joint, whichever leg is lifted at the end of the shift, by rigid statics: compliance takes its share"""
-    relax_gain: float = 0.7
-    """of the believed stretch of the feet's springs by interaction forces that one shift takes back; 0 for none"""
-    max_relax: float = 0.03
-    """[m]"""
     level_deck_deg: float = 0.0
     """tilt that is left alone [deg]"""
+    relax: RelaxConfig = field(default_factory=RelaxConfig)
 
 
 def plan_shift(
     kin: Kinematics,
-    springs: FootSprings,
     belief: Belief,
     *,
     leg: int,
+    next_leg: int | None,
+    next_change: PerLeg,
     landed_joints: Joints,
     contacts_in_world: Wheels,
     heading: Vec2,
@@ -69,12 +69,33 @@ def plan_shift(
     collision: CollisionConfig,
     payload_kg: float,
 ) -> BodyShift:
-    """The shift after a step; its fraction is 0 where only height and attitude can be mended, or not even these."""
+    """The shift after a step; its fraction is 0 where only height and attitude can be mended, or not even these.
+
+    Args:
+        kin: of the drawings.
+        belief: before the step.
+        leg: index 0 to 5 of the leg that steps.
+        next_leg: that will step next, None when nobody knows.
+        next_change: of the wheels' loads when that lifts, shape (6,) [N].
+        landed_joints: of all legs with the wheel down, shape (6, dof) [rad].
+        contacts_in_world: with the wheel down, shape (6, 3) [m].
+        heading: direction of travel in world.
+        remaining: distance to the goal [m].
+        behind: what earlier shifts were cut short by [m].
+        filled: terrain without NaN.
+        gait: its stride.
+        stability: the rule.
+        limits: of what is mended and relaxed.
+        collision: clearances.
+        payload_kg: [kg]
+    """
     pose = belief.world_from_hex
     wanted = shift_per_step(kin.spec, gait, remaining=remaining, behind=behind)
     body = BodyCollision(kin.spec, filled, collision)
     wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
-    offsets = _relaxing(springs, belief, leg, limits)
+    offsets = relaxing_offsets(
+        kin, belief, landed_joints, leg=leg, next_leg=next_leg, next_change=next_change, config=limits.relax
+    )
     rise, turn = _mending(kin, belief, limits)
     # Where the stance itself asks for more torque than the limit, a shift may go on asking for as much.
     standing = _worst_torques(kin, pose, wheels_in_world, payload_kg)
@@ -91,7 +112,7 @@ def plan_shift(
                 return BodyShift(
                     translation_in_hex=pose.rotation.T @ move,
                     rotvec_in_hex=pose.rotation.T @ (mend * turn),
-                    wheel_offsets_in_hex=offsets,
+                    wheel_offsets_in_hex=_in_reach(kin, belief, landed_joints, leg, end, offsets),
                     fraction=fraction,
                     cut_by=refused,
                 )
@@ -105,16 +126,18 @@ def plan_shift(
     )
 
 
-def _relaxing(springs: FootSprings, belief: Belief, leg: int, limits: ShiftLimits) -> Wheels:
-    """Shifts of the wheels that take back the interaction forces, [SunSpiral2012] s5.1.1: feet shall not fight.
-
-    Position-controlled legs with stuck feet keep whatever stretch each landing left; the torques tell of it. A wheel
-    that the ground pushes by F more than it should goes F / k that way. The leg that has just stepped is left alone.
-    """
-    stiffness = springs.stiffness_z[:, None] * np.array([springs.lateral_ratio, springs.lateral_ratio, 1.0])
-    offsets = np.clip(limits.relax_gain * belief.interaction / stiffness, -limits.max_relax, limits.max_relax)
-    offsets[leg] = 0.0
-    return np.asarray(offsets)
+def _in_reach(kin: Kinematics, belief: Belief, landed_joints: Joints, leg: int, end: SE3, offsets: Wheels) -> Wheels:
+    """The offsets, each as much of it as its leg can reach."""
+    commanded = belief.motors.copy()
+    commanded[leg] = landed_joints[leg]
+    wheels = belief.world_from_hex.apply(kin.wheels_in_hex(commanded))
+    hex_from_world = end.inverse()
+    share = np.zeros(LEGS)
+    for tried in SHARES:
+        targets = hex_from_world.apply(wheels) + tried * offsets
+        _, ok = all_legs_ik(kin.spec, targets, last_link_in_hex=hex_from_world.rotate(DOWN))
+        share = np.where(ok, np.maximum(share, tried), share)
+    return np.asarray(share[:, None] * offsets)
 
 
 def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits) -> tuple[float, np.ndarray]:

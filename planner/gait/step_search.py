@@ -13,11 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import ConfigError
-from athlete_twin.geometry.arrays import Points2, Points3, Vec2, Vec3
+from athlete_twin.geometry.arrays import Joints, PerLeg, Points2, Points3, Vec2, Vec3, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import leg_ik
+from athlete_twin.model.spec import LEGS
 from athlete_twin.model.statics import torque_fractions
 from planner.belief import Belief
 from planner.decisions import NoStep
@@ -29,6 +30,7 @@ from planner.motion.collision import CollisionConfig, LegCollision
 from planner.motion.swing import SwingConfig, SwingPath, plan_swing
 from planner.sag.compensate import SagConfig, SagPrediction, predict_sag, stand_on
 from planner.sag.docked import Docks
+from planner.sag.leg_compliance import held_response, patch_compliance
 from planner.sag.sag_model import AIRBORNE, FootSprings
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import REASONS, StabilityConfig, stability_map
@@ -141,6 +143,8 @@ class StepRequest:
     """[m]"""
     extra_lift: float = 0.0
     """after a lift that did not break contact [m]"""
+    next_leg: int | None = None
+    """that will step after this one, as far as anybody knows; the shift makes it ready to be lifted"""
     cautious: bool = True
     """whether the swing keeps clear of ground that nobody saw; if not, the executive's guard on it must do"""
 
@@ -234,12 +238,31 @@ def _predict(
 
 
 def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction) -> float:
+    """Largest joint torque over its limit with the leg in the air; 0 where the sag method knows no forces.
+
+    Loads change as the springs foresee; what comes with them sideways is what the legs' own compliance drives, on top of what the
+    torques tell of the stance as it is.
+    """
+    if not sag.forces_swinging.any():
+        return 0.0
     gravity = belief.gravity_in_hex()
     contacts = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
     fractions = torque_fractions(
-        kin, belief.joints, wheel_forces_in_hex=sag.forces_swinging, contact_in_hex=contacts, gravity_in_hex=gravity
-    )
-    return float(np.abs(fractions).max()) if sag.forces_swinging.any() else 0.0
+        kin, belief.joints, wheel_forces_in_hex=_forces_in_air(kin, belief, sag, contacts), contact_in_hex=contacts,
+        gravity_in_hex=gravity,
+    )  # fmt: skip
+    return float(np.abs(fractions).max())
+
+
+def _forces_in_air(kin: Kinematics, belief: Belief, sag: SagPrediction, contacts: Wheels) -> Wheels:
+    up = -belief.gravity_in_hex() / GRAVITY
+    loads = sag.forces_swinging @ up
+    standing = belief.planted & (np.arange(LEGS) != sag.leg)
+    compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, belief.gravity_in_hex())
+    now = belief.forces - np.outer(belief.forces @ up, up)
+    change = np.where(standing, loads - belief.forces @ up, 0.0)
+    aside = now + held_response(compliance, change, contacts, standing, belief.gravity_in_hex())
+    return np.asarray(np.where(standing[:, None], aside + np.outer(loads, up), 0.0))
 
 
 def _candidates(
@@ -387,7 +410,9 @@ def _try(
         refused["landed_load"] += 1
         return None
     shift = plan_shift(
-        kin, springs, belief, leg=leg, landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
+        kin, belief, leg=leg, next_leg=request.next_leg,
+        next_change=_next_change(kin, springs, belief, landed, request, config, payload_kg),
+        landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
         remaining=request.remaining, behind=request.behind, filled=ground.filled, gait=config.gait, stability=config.stability,
         limits=config.shift, collision=config.collision, payload_kg=payload_kg,
     )  # fmt: skip
@@ -419,6 +444,23 @@ def _try(
         peak_torque_fraction=torque,
         planner_checks=path.checks,
     )
+
+
+def _next_change(
+    kin: Kinematics, springs: FootSprings, belief: Belief, landed: Joints, request: StepRequest, config: StepConfig, payload: float
+) -> PerLeg:
+    """By how much each wheel's load changes when the next leg lifts, shape (6,) [N]; zeros where nobody knows."""
+    if request.next_leg is None:
+        return np.zeros(LEGS)
+    com = kin.com_in_hex(landed, payload)
+    sag = predict_sag(
+        kin.wheels_in_hex(landed), request.next_leg, com_planted=com, com_airborne=com, weight=(kin.spec.mass + payload) * GRAVITY,
+        clearance=0.0, springs=springs, config=config.sag, gravity_in_hex=belief.gravity_in_hex(),
+        docks=Docks.of(kin, landed) if config.sag.docks else None,
+    )  # fmt: skip
+    if sag.status != "converged":
+        return np.zeros(LEGS)
+    return np.asarray((sag.forces_swinging - sag.forces_standing) @ -belief.gravity_in_hex() / GRAVITY)
 
 
 def _raised(heights: HeightGrid, by: float) -> HeightGrid:

@@ -8,6 +8,7 @@ import pytest
 from athlete_twin.geometry.polygon import conservative_distance, signed_distance
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.reach import all_legs_ik
+from planner.gait.relax import RelaxConfig
 from planner.gait.shift import plan_shift
 from planner.gait.skeleton import shift_per_step
 from planner.gait.step_plan import BodyShift
@@ -17,12 +18,16 @@ DOWN = np.array([0.0, 0.0, -1.0])
 MILLIMETRE = 1e-3
 
 
-def shift(robot, grid, *, belief=None, heading=AHEAD, remaining=10.0, behind=0.0, leg=0, **config) -> BodyShift:
+def shift(robot, grid, *, belief=None, next_leg=None, next_change=None, **what) -> BodyShift:
     belief, step = belief or robot.belief, robot.config.step
-    settings = {"stability": step.stability, "limits": step.shift, "collision": step.collision} | config
+    settings = {
+        "leg": 0, "heading": AHEAD, "remaining": 10.0, "behind": 0.0,
+        "stability": step.stability, "limits": step.shift, "collision": step.collision,
+    } | what  # fmt: skip
+    settings["heading"] = np.asarray(settings["heading"])
     return plan_shift(
-        robot.kin, robot.springs, belief, leg=leg, landed_joints=belief.joints, contacts_in_world=belief.contacts_in_world,
-        heading=np.asarray(heading), remaining=remaining, behind=behind, filled=grid, gait=step.gait, payload_kg=0.0, **settings,
+        robot.kin, belief, landed_joints=belief.joints, contacts_in_world=belief.contacts_in_world, filled=grid, gait=step.gait,
+        payload_kg=0.0, next_leg=next_leg, next_change=np.zeros(6) if next_change is None else next_change, **settings,
     )  # fmt: skip
 
 
@@ -121,12 +126,18 @@ def test_attitude_is_mended_within_its_limits(robot, field):
     assert turned[2] == pytest.approx(0.06 - limits.max_yaw, abs=2e-3)
 
 
-def test_feet_that_fight_are_relaxed_except_the_one_that_has_just_stepped(robot, field):
-    """[SunSpiral2012] s5.1.1: a wheel that is pushed by F too much goes F / k that way, by the gain and not too far."""
-    interaction = np.zeros((6, 3))
-    interaction[:, 0] = [400.0, 100.0, -100.0, 1e6, 0.0, 0.0]
-    made = shift(robot, field(), belief=replace(robot.belief, interaction=interaction), leg=0)
-    limits, k = robot.config.step.shift, robot.springs.stiffness_z * robot.springs.lateral_ratio
-    expected = [0.0, limits.relax_gain * 100.0 / k[1], -limits.relax_gain * 100.0 / k[2], limits.max_relax, 0.0, 0.0]
-    assert made.wheel_offsets_in_hex[:, 0] == pytest.approx(expected)
-    assert not made.wheel_offsets_in_hex[:, 1:].any()
+def test_an_offset_beyond_reach_is_shortened_until_the_leg_reaches(robot, field):
+    """Its wheel would go sideways by more than the stance leaves it; as much of that as the leg reaches is taken back."""
+    push = np.zeros((6, 3))
+    outward = robot.kin.wheels_in_hex(robot.belief.joints)[1] * [1.0, 1.0, 0.0]
+    push[1] = 1e6 * outward / np.linalg.norm(outward)
+    belief = replace(robot.belief, interaction=push)
+    far = 0.5
+    limits = replace(robot.config.step.shift, relax=RelaxConfig(max_offset=far))
+    made = shift(robot, field(), belief=belief, limits=limits, remaining=0.0)
+    end = end_of(robot, made, belief)
+    wheels = end.inverse().apply(belief.world_from_hex.apply(robot.kin.wheels_in_hex(belief.motors)))
+    _, ok = all_legs_ik(robot.spec, wheels + made.wheel_offsets_in_hex, last_link_in_hex=end.inverse().rotate(DOWN))
+    assert ok.all()
+    taken = np.linalg.norm(made.wheel_offsets_in_hex[1]) / far
+    assert any(taken == pytest.approx(share, abs=1e-6) for share in (0.0, 0.25, 0.5, 0.75, 1.0))

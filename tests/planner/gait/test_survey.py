@@ -19,7 +19,8 @@ def belief(robot: str) -> Belief:
     contacts = pose.apply(kinematics(robot).wheels_in_hex(joints)) - [0.0, 0.0, spec.wheel.radius]
     return Belief(
         t=0.0, joints=joints, motors=joints, world_from_hex=pose, contacts_in_world=contacts, planted=np.ones(6, dtype=bool),
-        loads=np.ones(6), interaction=np.zeros((6, 3)), fit_rmse=0.0,
+        loads=np.ones(6), interaction=np.zeros((6, 3)), forces=np.zeros((6, 3)),
+        joint_stiffness=np.full(spec.dof, np.inf), fit_rmse=0.0,
     )  # fmt: skip
 
 

@@ -163,7 +163,7 @@ def robot():
     belief = Belief(
         t=5.0, joints=joints, motors=joints, world_from_hex=world_from_hex,
         contacts_in_world=world_from_hex.apply(contacts), planted=np.ones(6, dtype=bool), loads=np.full(6, 1400.0),
-        interaction=np.zeros((6, 3)), fit_rmse=0.0,
+        interaction=np.zeros((6, 3)), forces=np.zeros((6, 3)), joint_stiffness=np.full(spec.dof, np.inf), fit_rmse=0.0,
     )  # fmt: skip
     return Kinematics(spec), planner_config(content, spec, name="integrated"), belief
 
