@@ -119,6 +119,8 @@ class GroundAgent:
         self._behind = 0.0
         self._surveyed = config.fusion_method == "flat"
         self._levelled = False
+        self._looked: dict[int, Vec2] = {}
+        """where a leg stood when it was lifted to see what it hid"""
         self._forced_leg: int | None = None
         self._forced_xy: Vec2 | None = None
         self._stopped = ""
@@ -317,6 +319,7 @@ class GroundAgent:
         if len(in_air) and self._recovery.lowers and self._attempt is not None:
             return self._lower(belief, ground, self._attempt, t)
         refused: Counter[str] = Counter()
+        hidden: Counter[int] = Counter()
         reasons = []
         tries = self._tries(belief, heading, in_air, ground)
         forced_xy, self._forced_xy = self._forced_xy, None
@@ -344,6 +347,7 @@ class GroundAgent:
                     return self._lift_first(found, belief, ground, t)
                 return self._as_proposal(found, belief, ground, t)
             refused.update(found.refused)
+            hidden[leg] += found.refused.get("unknown", 0) if self.config.fusion_method != "flat" else 0
             reasons.append(found.reason)
         if forced_xy is not None:
             # The operator's place does not work: say so beside the gait's own step.
@@ -357,7 +361,36 @@ class GroundAgent:
         if len(in_air) and self._attempt is not None and self._recovery.lowerings <= LOWERINGS:
             self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
+        if not len(in_air):
+            look = self._look_beneath(belief, ground, heading, remaining, hidden, t)
+            if look is not None:
+                return look
         return NoStep(reason="; ".join(dict.fromkeys(reasons)), refused=dict(refused))
+
+    def _look_beneath(
+        self, belief: Belief, ground: Ground, heading: Vec2, remaining: float, hidden: Counter[int], t: float
+    ) -> Action | None:
+        """No leg finds a step, and some for want of seen ground, which a standing leg may hide: it is lifted, and pictures taken.
+
+        Each leg once where it stands: what it does not show then, no lift shows.
+        """
+        for leg, cells in hidden.most_common():
+            if cells == 0:
+                return None
+            place = belief.contacts_in_world[leg, :2]
+            looked = self._looked.get(leg)
+            if looked is not None and np.linalg.norm(place - looked) < self.config.step.gait.min_step:
+                continue
+            request = StepRequest(leg=leg, heading=heading, remaining=remaining, on_the_spot=True)
+            self._ground_s += SECONDS_PER_PLAN
+            with self._timer("plan"):
+                found = search_step(
+                    self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload, rng=self._rng
+                )
+            if isinstance(found, StepPlan) and found.lift_in_hex is not None:
+                self._looked[leg] = place.copy()
+                return self._lift_first(found, belief, ground, t)
+        return None
 
     def _tries(self, belief: Belief, heading: Vec2, in_air: np.ndarray, ground: Ground) -> list[tuple[int, bool]]:
         """Legs to try, first the one whose turn it is, and whether to keep clear of ground that nobody saw.

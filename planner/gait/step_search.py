@@ -137,6 +137,8 @@ class StepRequest:
     """what earlier chassis shifts were cut short by [m]"""
     footfall_xy: Vec2 | None = None
     """the operator's own choice; the gait's when None [m]"""
+    on_the_spot: bool = False
+    """whether the wheel shall come down where it stands, whatever the map says of the place: lifted for the sake of a look"""
     refused_xy: Points2 | None = None
     """places that were refused or failed: not tried again"""
     refused_radius: float = 0.12
@@ -269,6 +271,8 @@ def _candidates(
     kin: Kinematics, belief: Belief, ground: Ground, request: StepRequest, config: StepConfig, refused: Counter[str]
 ) -> Points3:
     """Allowed cells near the nominal footfall, shape (n, 3)."""
+    if request.on_the_spot:
+        return belief.contacts_in_world[request.leg : request.leg + 1].copy()
     spec, grid = kin.spec, ground.footfalls.grid
     if request.footfall_xy is not None:
         target, radius = request.footfall_xy, 1.5 * grid.cell

@@ -12,6 +12,8 @@ from athlete_twin.model.spec import load_spec
 from planner.agent import LOST_AFTER, GroundAgent
 from planner.config import planner_config
 from planner.decisions import Decision, NoStep, Proposal, Waiting
+from planner.footfall import score_footfalls
+from planner.gait.step_search import Ground, search_step
 
 APPROVE = Decision(kind="approve")
 
@@ -104,3 +106,35 @@ def test_every_exposure_of_a_bracket_is_awaited(agent):
     look = ImageRequest(cameras=("a", "b"), brackets=(0.5, 1.0, 4.0))
     agent._send(agent._as_sequence([look], 1.0), None)
     assert agent._sent.pairs_awaited == 6
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_a_leg_that_hides_the_ground_it_needs_is_lifted_to_look_once_where_it_stands(robot, monkeypatch):
+    spec = load_spec(robot)
+    config = planner_config(read_toml(named_toml("variants", "integrated")), spec, name="integrated")
+    agent = GroundAgent(spec, config, goal_in_world=np.array([3.0, 0.0]), seed=0)
+    for message in MockAthlete(spec).advance(1.0):
+        agent.observe(message, 1.0)
+    agent._surveyed = True
+    grid, sure = agent._plane(agent.belief)
+    footfalls = score_footfalls(grid, sure, wheel_radius=spec.wheel.radius, config=config.footfall)
+    ground = Ground(heights=grid, filled=grid, cautious=grid, footfalls=footfalls)
+    monkeypatch.setattr(agent, "_ground", lambda _: ground)
+
+    def search(*args, **settings):
+        """Leg 3 hides most of what it needs, leg 5 some; no leg finds a step."""
+        request = args[4]
+        if request.on_the_spot:
+            return search_step(*args, **settings)
+        return NoStep(reason="hidden", refused={"unknown": {2: 40, 4: 7}.get(request.leg, 0), "rough": 3})
+
+    monkeypatch.setattr("planner.agent.search_step", search)
+    for leg in (2, 4):
+        look = agent.next(1.0)
+        assert isinstance(look, Proposal) and look.leg == leg and "pictures of what it hid" in look.text
+        sent = agent.decide(APPROVE, 1.0)
+        lift, pictures = sent.commands[0], sent.commands[-1]
+        assert lift.guard == "break_contact" and isinstance(pictures, ImageRequest) and pictures.cameras
+        agent._sent = None  # as if it had come down again, and nothing been seen
+    none = agent.next(1.0)
+    assert isinstance(none, NoStep) and none.reason == "hidden"
