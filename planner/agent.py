@@ -320,10 +320,15 @@ class GroundAgent:
             return self._lower(belief, ground, self._attempt, t)
         refused: Counter[str] = Counter()
         hidden: Counter[int] = Counter()
-        reasons = []
+        reasons, looked = [], False
         tries = self._tries(belief, heading, in_air, ground)
         forced_xy, self._forced_xy = self._forced_xy, None
-        for leg, cautious in tries:
+        for leg, cautious, wide, due in tries:
+            if not due and not looked:
+                looked = True
+                look = self._look_beneath(belief, ground, heading, remaining, hidden, t)
+                if look is not None:
+                    return look
             request = StepRequest(
                 leg=leg,
                 heading=heading,
@@ -334,6 +339,7 @@ class GroundAgent:
                 extra_lift=self._recovery.extra_lift,
                 next_leg=self._upcoming(belief, heading, leg)[0],
                 cautious=cautious,
+                wide=wide,
             )
             self._ground_s += SECONDS_PER_PLAN
             with self._timer("plan"):
@@ -361,7 +367,7 @@ class GroundAgent:
         if len(in_air) and self._attempt is not None and self._recovery.lowerings <= LOWERINGS:
             self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
-        if not len(in_air):
+        if not len(in_air) and not looked:
             look = self._look_beneath(belief, ground, heading, remaining, hidden, t)
             if look is not None:
                 return look
@@ -370,7 +376,7 @@ class GroundAgent:
     def _look_beneath(
         self, belief: Belief, ground: Ground, heading: Vec2, remaining: float, hidden: Counter[int], t: float
     ) -> Action | None:
-        """No leg finds a step, and some for want of seen ground, which a standing leg may hide: it is lifted, and pictures taken.
+        """No leg that is due finds a step, some for want of seen ground, which a standing leg may hide: it is lifted for pictures.
 
         Each leg once where it stands: what it does not show then, no lift shows.
         """
@@ -392,14 +398,23 @@ class GroundAgent:
                 return self._lift_first(found, belief, ground, t)
         return None
 
-    def _tries(self, belief: Belief, heading: Vec2, in_air: np.ndarray, ground: Ground) -> list[tuple[int, bool]]:
-        """Legs to try, first the one whose turn it is, and whether to keep clear of ground that nobody saw.
+    def _tries(
+        self, belief: Belief, heading: Vec2, in_air: np.ndarray, ground: Ground
+    ) -> list[tuple[int, bool, bool, bool]]:
+        """What to try in turn: the leg; whether to keep clear of ground that nobody saw; whether to look farther; whether it is due.
 
-        Of the legs whose turn it is all are tried with caution, then all without, and only then others.
+        Of the legs whose turn it is all are tried with caution, then farther from the gait's place, then both without caution,
+        and only then others.
         """
         groups = self._order(belief, heading, in_air)
         both = (True, False) if ground.cautious is not ground.filled else (False,)
-        return [(leg, cautious) for group in groups for cautious in both for leg in group]
+        return [
+            (leg, cautious, wide, n == 0)
+            for n, group in enumerate(groups)
+            for cautious in both
+            for wide in (False, True)
+            for leg in group
+        ]
 
     def _order(self, belief: Belief, heading: Vec2, in_air: np.ndarray) -> list[list[int]]:
         # A leg in the air must come down before any other moves.

@@ -45,6 +45,8 @@ class SearchConfig:
 
     radius_fraction: float = 0.6
     """of the stride: candidates lie this near to the nominal footfall"""
+    wide_radius_fraction: float = 1.0
+    """the same where nothing nearer will do: a rock lies where the foot would go, or hides it"""
     weight_distance: float = 1.0
     """of the distance from the nominal footfall over the search radius"""
     weight_terrain: float = 0.6
@@ -66,8 +68,8 @@ class SearchConfig:
     """a footfall higher or lower than this against the wheel's present contact is not tried [m]"""
 
     def __post_init__(self) -> None:
-        if not (self.radius_fraction > 0.0 and self.typical_terrain > 0.0 and self.tried >= 1):
-            raise ConfigError(f"step search needs a positive radius, terrain scale and number of tries, got {self}")
+        if not (0.0 < self.radius_fraction <= self.wide_radius_fraction < np.inf and self.typical_terrain > 0.0 and self.tried >= 1):
+            raise ConfigError(f"step search needs a positive radius, a wide one not below it, terrain scale and number of tries, got {self}")
         if not self.footfall_torque_fraction > 0.0:
             given = self.footfall_torque_fraction
             raise ConfigError(f"footfall_torque_fraction is {given}, must be positive; 1.0 is the joints' limit, inf refuses nothing")
@@ -137,6 +139,8 @@ class StepRequest:
     """what earlier chassis shifts were cut short by [m]"""
     footfall_xy: Vec2 | None = None
     """the operator's own choice; the gait's when None [m]"""
+    wide: bool = False
+    """whether footfalls farther from the gait's are tried too"""
     on_the_spot: bool = False
     """whether the wheel shall come down where it stands, whatever the map says of the place: lifted for the sake of a look"""
     refused_xy: Points2 | None = None
@@ -281,7 +285,8 @@ def _candidates(
             spec, config.gait, leg=request.leg, world_from_hex=belief.world_from_hex, heading=request.heading,
             remaining=request.remaining,
         )  # fmt: skip
-        radius = config.search.radius_fraction * stride(spec, config.gait)
+        search = config.search
+        radius = (search.wide_radius_fraction if request.wide else search.radius_fraction) * stride(spec, config.gait)
     xs, ys = grid.centres()
     near = np.hypot(xs[:, None] - target[0], ys[None, :] - target[1]) <= radius
     ix, iy = np.nonzero(near)
@@ -386,13 +391,16 @@ def _try(
     if not (ok.all() and stands.all()):
         refused["descent_reach"] += 1
         return None
-    path = plan_swing(
-        collision, spec, q_break, q[1],
-        lift_waypoint_q=q_lift, touchdown_waypoint_q=q[0], planner=config.leg_planner, rng=rng, config=config.swing,
-    )  # fmt: skip
-    if not isinstance(path, SwingPath):
-        refused[f"path_{path.reason}"] += 1
-        return None
+    waypoints, checks = q_lift[None], 0
+    if not request.on_the_spot:  # straight down again, where it came from: no way to plan
+        path = plan_swing(
+            collision, spec, q_break, q[1],
+            lift_waypoint_q=q_lift, touchdown_waypoint_q=q[0], planner=config.leg_planner, rng=rng, config=config.swing,
+        )  # fmt: skip
+        if not isinstance(path, SwingPath):
+            refused[f"path_{path.reason}"] += 1
+            return None
+        waypoints, checks = path.waypoints, path.checks
 
     landed = belief.joints.copy()
     landed[leg] = standing_q[0]
@@ -421,7 +429,7 @@ def _try(
         limits=config.shift, collision=config.collision, payload_kg=payload_kg,
     )  # fmt: skip
     poses, joints = [belief.world_from_hex], [belief.joints]
-    for waypoint in (q_lift, *path.waypoints, q[0]):
+    for waypoint in (q_lift, *waypoints, q[0]):
         row = belief.joints.copy()
         row[leg] = waypoint
         joints.append(row)
@@ -433,7 +441,7 @@ def _try(
         leg=leg,
         footfall_in_world=np.asarray(place),
         lift_in_hex=lift_in_hex,
-        swing=path.waypoints,
+        swing=waypoints,
         descent_in_hex=ends[2],
         contact_load=touch.load_fraction * share,
         shift=shift,
@@ -446,7 +454,7 @@ def _try(
         landed_margin=float(cps_margin(com_landed, contacts)),
         sag=float(max(abs(drop), sag.tilt * np.linalg.norm(spec.hips_in_hex[leg]))),
         peak_torque_fraction=torque,
-        planner_checks=path.checks,
+        planner_checks=checks,
     )
 
 
