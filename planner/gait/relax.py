@@ -71,7 +71,7 @@ def relaxing_offsets(
     if next_leg is not None and config.anticipation > 0.0:
         contacts = patches_in_hex(kin, landed_joints, gravity)
         coming = held_response(compliance, np.where(standing, next_change, 0.0), contacts, standing, gravity)
-        force = force + config.anticipation * coming
+        force = force + config.anticipation * coming.forces
     offsets = np.einsum("nij,nj->ni", compliance, force)
     size = np.linalg.norm(offsets, axis=1, keepdims=True)
     return np.asarray(offsets * np.minimum(1.0, config.max_offset / np.maximum(size, 1e-12)))

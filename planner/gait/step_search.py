@@ -30,7 +30,7 @@ from planner.motion.collision import CollisionConfig, LegCollision
 from planner.motion.swing import SwingConfig, SwingPath, plan_swing
 from planner.sag.compensate import SagConfig, SagPrediction, predict_sag, stand_on
 from planner.sag.docked import Docks
-from planner.sag.leg_compliance import held_response, patch_compliance
+from planner.sag.leg_compliance import HeldResponse, held_response, patch_compliance
 from planner.sag.sag_model import AIRBORNE, FootSprings
 from planner.stability.margin import cps_margin, support_margin
 from planner.stability.stability_map import REASONS, StabilityConfig, stability_map
@@ -69,7 +69,7 @@ class SearchConfig:
 
     def __post_init__(self) -> None:
         if not (0.0 < self.radius_fraction <= self.wide_radius_fraction < np.inf and self.typical_terrain > 0.0 and self.tried >= 1):
-            raise ConfigError(f"step search needs a positive radius, a wide one not below it, terrain scale and number of tries, got {self}")
+            raise ConfigError(f"step search needs a positive radius, a wide one no smaller, terrain scale and tries, got {self}")
         if not self.footfall_torque_fraction > 0.0:
             given = self.footfall_torque_fraction
             raise ConfigError(f"footfall_torque_fraction is {given}, must be positive; 1.0 is the joints' limit, inf refuses nothing")
@@ -172,9 +172,13 @@ def search_step(
     if sag.status != "converged":
         return NoStep(reason=f"leg {leg + 1} cannot be lifted: the springs say {sag.status}", refused={sag.status: 1})
     airborne = not belief.planted[leg]
-    swing_pose = belief.world_from_hex if airborne else belief.world_from_hex.compose(sag.standing_from_swinging)
+    contacts = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * belief.gravity_in_hex() / GRAVITY
+    aside = _aside(kin, belief, sag, contacts)
+    swing_pose = belief.world_from_hex
+    if not airborne:
+        swing_pose = swing_pose.compose(aside.hex_from_moved).compose(sag.standing_from_swinging)
     leg_pose = swing_pose.compose(sag.swinging_from_leg)
-    torque = _torque(kin, belief, sag)
+    torque = _torque(kin, belief, sag, aside, contacts)
     if torque > config.search.max_torque_fraction and not airborne:
         return NoStep(reason=f"lifting leg {leg + 1} asks {100 * torque:.0f} % of a joint's torque", refused={"torque": 1})
 
@@ -243,7 +247,21 @@ def _predict(
     )
 
 
-def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction) -> float:
+def _aside(kin: Kinematics, belief: Belief, sag: SagPrediction, contacts: Wheels) -> HeldResponse:
+    """What lifting the leg does sideways: nothing where the sag method knows no forces, or where the leg is in the air already."""
+    standing = belief.planted & (np.arange(LEGS) != sag.leg)
+    if not (sag.forces_swinging.any() and belief.planted[sag.leg]):
+        return HeldResponse(forces=np.zeros((LEGS, 3)), hex_from_moved=SE3.identity())
+    gravity = belief.gravity_in_hex()
+    change = (sag.forces_swinging - belief.forces) @ -gravity / GRAVITY
+    compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, gravity)
+    return held_response(
+        compliance, np.where(standing, change, 0.0), contacts, standing, gravity,
+        released=np.where(standing[:, None], 0.0, belief.forces),
+    )  # fmt: skip
+
+
+def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction, aside: HeldResponse, contacts: Wheels) -> float:
     """Largest joint torque over its limit with the leg in the air; 0 where the sag method knows no forces.
 
     Loads change as the springs foresee; what comes with them sideways is what the legs' own compliance drives, on top of what the
@@ -252,23 +270,12 @@ def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction) -> float:
     if not sag.forces_swinging.any():
         return 0.0
     gravity = belief.gravity_in_hex()
-    contacts = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
-    fractions = torque_fractions(
-        kin, belief.joints, wheel_forces_in_hex=_forces_in_air(kin, belief, sag, contacts), contact_in_hex=contacts,
-        gravity_in_hex=gravity,
-    )  # fmt: skip
+    up = -gravity / GRAVITY
+    sideways = belief.forces - np.outer(belief.forces @ up, up) + aside.forces
+    forces = np.outer(sag.forces_swinging @ up, up) + sideways
+    forces[~belief.planted | (np.arange(LEGS) == sag.leg)] = 0.0
+    fractions = torque_fractions(kin, belief.joints, wheel_forces_in_hex=forces, contact_in_hex=contacts, gravity_in_hex=gravity)
     return float(np.abs(fractions).max())
-
-
-def _forces_in_air(kin: Kinematics, belief: Belief, sag: SagPrediction, contacts: Wheels) -> Wheels:
-    up = -belief.gravity_in_hex() / GRAVITY
-    loads = sag.forces_swinging @ up
-    standing = belief.planted & (np.arange(LEGS) != sag.leg)
-    compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, belief.gravity_in_hex())
-    now = belief.forces - np.outer(belief.forces @ up, up)
-    change = np.where(standing, loads - belief.forces @ up, 0.0)
-    aside = now + held_response(compliance, change, contacts, standing, belief.gravity_in_hex())
-    return np.asarray(np.where(standing[:, None], aside + np.outer(loads, up), 0.0))
 
 
 def _candidates(

@@ -10,11 +10,14 @@ aside. A wheel that the ground holds answers with a force that loads the knee; t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from jaxtyping import Float
 
 from athlete_twin.errors import SagError
 from athlete_twin.geometry.arrays import Joints, LegJoints, PerLeg, PerLegFlag, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.spec import LEGS
 
@@ -60,10 +63,26 @@ def patch_compliance(
     return np.array([tyre + (jacobian / joint_stiffness) @ jacobian.T for jacobian in jacobians])
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class HeldResponse:
+    """What a change of loads brings sideways while the ground holds the wheels."""
+
+    forces: Wheels
+    """horizontal ones that come on top, in hex, shape (6, 3) [N]"""
+    hex_from_moved: SE3
+    """by which the chassis goes along, horizontally and about the vertical"""
+
+
 def held_response(
-    compliance: Compliances, load_change: PerLeg, contacts_in_hex: Wheels, standing: PerLegFlag, gravity_in_hex: Vec3
-) -> Wheels:
-    """Horizontal forces that come with a change of the wheels' loads, nothing slipping, in hex, shape (6, 3) [N].
+    compliance: Compliances,
+    load_change: PerLeg,
+    contacts_in_hex: Wheels,
+    standing: PerLegFlag,
+    gravity_in_hex: Vec3,
+    *,
+    released: Wheels | None = None,
+) -> HeldResponse:
+    """Horizontal forces, and the chassis' motion, that come with a change of the wheels' loads, nothing slipping.
 
     Each leg would go aside as its load changes; the ground holds its wheel. The chassis goes along, horizontally and about the
     vertical, until the forces balance.
@@ -74,6 +93,7 @@ def held_response(
         contacts_in_hex: shape (6, 3) [m].
         standing: which wheels the ground holds, shape (6,).
         gravity_in_hex: where gravity points.
+        released: forces of the ground on wheels that leave it, which the others take over, shape (6, 3) [N]; none by default.
     """
     up = -gravity_in_hex / np.linalg.norm(gravity_in_hex)
     across = _horizontal(up)
@@ -83,14 +103,16 @@ def held_response(
     stiff = np.linalg.inv(across.T @ compliance @ across)
     aside = (compliance @ up) @ across * load_change[:, None]
     on = np.flatnonzero(standing)
-    # F = K (follows m - aside), sum of follows' F = 0.
+    # F = K (follows m - aside); what the others take over is what was released.
     normal = sum(follows[leg].T @ stiff[leg] @ follows[leg] for leg in on)
     driven = sum(follows[leg].T @ stiff[leg] @ aside[leg] for leg in on)
+    if released is not None:
+        driven = driven + sum(follows[leg].T @ (across.T @ released[leg]) for leg in np.flatnonzero(~standing))
     motion = np.linalg.lstsq(normal, driven, rcond=1e-9)[0]
     forces = np.zeros((LEGS, 3))
     for leg in on:
         forces[leg] = across @ (stiff[leg] @ (follows[leg] @ motion - aside[leg]))
-    return forces
+    return HeldResponse(forces=forces, hex_from_moved=SE3.from_rotvec(motion[2] * up, across @ motion[:2]))
 
 
 def _horizontal(up: Vec3) -> Float[np.ndarray, "3 2"]:

@@ -50,7 +50,7 @@ def test_what_the_next_lift_brings_is_taken_back_beforehand(robot, next_leg):
     found = offsets(robot, belief, next_leg=next_leg, change=change, max_offset=0.5)
     compliance = patch_compliance(robot.kin, belief.joints, belief.joint_stiffness, gravity)
     contacts = patches_in_hex(robot.kin, belief.joints, gravity)
-    coming = held_response(compliance, np.where(standing, change, 0.0), contacts, standing, gravity)
+    coming = held_response(compliance, np.where(standing, change, 0.0), contacts, standing, gravity).forces
     left = -np.linalg.solve(compliance, found[..., None])[..., 0]
     np.testing.assert_allclose(left + coming, 0.0, atol=1e-6)
     assert not found[next_leg].any()

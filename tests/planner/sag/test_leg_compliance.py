@@ -70,7 +70,8 @@ def test_held_wheels_answer_in_balance_and_go_nowhere_but_with_the_chassis(robot
     contacts = kin.wheels_in_hex(joints) + spec.wheel.radius * LEVEL / GRAVITY
     standing = np.arange(6) != 4
     change = np.where(standing, np.random.default_rng(4).uniform(-1e3, 3e3, 6), 0.0)
-    forces = held_response(compliance, change, contacts, standing, LEVEL)
+    held = held_response(compliance, change, contacts, standing, LEVEL)
+    forces = held.forces
     assert not forces[4].any() and forces[:, 2] == pytest.approx(0.0, abs=1e-9)
     scale = np.abs(forces).sum()
     assert np.abs(forces.sum(axis=0)).max() < 1e-9 * scale
@@ -83,6 +84,26 @@ def test_held_wheels_answer_in_balance_and_go_nowhere_but_with_the_chassis(robot
     went = aside.T.ravel()
     left = went - rows @ np.linalg.lstsq(rows, went, rcond=None)[0]
     assert np.abs(left).max() < 1e-12
+    # ... which is the motion told: a foot that the ground holds goes the other way in hex.
+    moved = held.hex_from_moved
+    expected = -moved.translation - np.cross(moved.rotvec(), contacts[standing])
+    np.testing.assert_allclose(aside, expected[:, :2], atol=1e-12)
+
+
+@ROBOTS
+def test_what_a_lifted_wheel_held_goes_to_the_others_and_moves_the_chassis_that_way(robot):
+    spec, kin, joints = stance(robot, 5)
+    compliance = patch_compliance(kin, joints, np.full(spec.dof, 4e4), LEVEL)
+    contacts = kin.wheels_in_hex(joints) + spec.wheel.radius * LEVEL / GRAVITY
+    standing = np.arange(6) != 1
+    released = np.zeros((6, 3))
+    released[1] = [-300.0, 200.0, 3000.0]
+    held = held_response(compliance, np.zeros(6), contacts, standing, LEVEL, released=released)
+    np.testing.assert_allclose(held.forces.sum(axis=0), [-300.0, 200.0, 0.0], atol=1e-9)
+    turn = np.cross(contacts, held.forces)[:, 2].sum()
+    assert turn == pytest.approx(np.cross(contacts[1], [-300.0, 200.0, 0.0])[2])
+    # The ground pushed the wheel, and through it the chassis, that way: without it the chassis goes the other way.
+    assert held.hex_from_moved.translation @ released[1] < 0.0
 
 
 def test_stiffness_is_torque_over_wind_up_and_infinite_where_nothing_winds():
