@@ -6,7 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from athlete_twin.errors import PlanningError
-from planner.motion.planners import METHODS, plan, sbl_in_ompl
+from planner.motion.planners import METHODS, ompl_planner, plan
+from planner.motion.sbl_ompl import sbl_in_ompl
 from planner.motion.sbl import NoPath, SblConfig, check_problem, plan_sbl
 
 RESOLUTION = 0.01
