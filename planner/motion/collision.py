@@ -30,6 +30,7 @@ from athlete_twin.model.stance import regular_stance
 from athlete_twin.model.urdf import urdf_text
 
 TERRAIN = "terrain"
+OWN, OTHER_LEG = "own_leg_or_body", "other_leg"
 FOUNDATION = 2.0
 """how far the terrain's solid reaches below its lowest point: a leg deep inside still collides [m]"""
 
@@ -135,11 +136,15 @@ class LegCollision:
 
     def is_free(self, q: LegJoints) -> bool:
         """Whether the leg at angles q keeps every clearance."""
-        return self._free(q, self.config.terrain_clearance, wheels_too=True)
+        return self.refusal(q) is None
+
+    def refusal(self, q: LegJoints) -> str | None:
+        """Which kind of check refuses angles q: "own_leg_or_body", "other_leg" or "terrain"; None where the leg is free."""
+        return self._refusal(q, self.config.terrain_clearance, wheels_too=True)
 
     def is_free_near_ground(self, q: LegJoints) -> bool:
         """The same on the way straight from or to the ground: the wheel may touch, other parts keep a smaller distance."""
-        return self._free(q, self.config.near_ground_clearance, wheels_too=False)
+        return self._refusal(q, self.config.near_ground_clearance, wheels_too=False) is None
 
     def first_collision(self, q: LegJoints) -> str | None:
         """Names of a pair that is too close, such as "leg1_knee_roll against terrain"; None where all is free."""
@@ -179,16 +184,16 @@ class LegCollision:
         q = np.asarray(q, dtype=float)
         pin.updateGeometryPlacements(self._model, self._scratch, self._geometry, self._state, q)
 
-    def _free(self, q: np.ndarray, clearance: float, *, wheels_too: bool) -> bool:
+    def _refusal(self, q: np.ndarray, clearance: float, *, wheels_too: bool) -> str | None:
         self._place(q)
         if pin.computeCollisions(self._geometry, self._state, True):
-            return False
+            return OWN
         centres = self._centres()
         gaps = np.square(centres[self._mover] - self._standing_in_hex).sum(axis=1)
         for n in np.flatnonzero(gaps < self._reach2):
             if pin.computeCollision(self._geometry, self._state, self._neighbour_pairs[n]):
-                return False
-        return self._terrain_hit(centres, clearance, wheels_too=wheels_too) is None
+                return OTHER_LEG
+        return TERRAIN if self._terrain_hit(centres, clearance, wheels_too=wheels_too) is not None else None
 
     def _centres(self) -> np.ndarray:
         placed = self._state.oMg

@@ -1,7 +1,7 @@
 """SBL: a single-query, bi-directional sampling planner that checks edges only when a path hangs on them.
 
 Place in the flow: swing (start and goal of a leg) -> SBL -> smoothing. The core is plain numpy so that one seed gives
-one path; `planners.sbl_in_ompl` puts it beside OMPL's planners, none of which is SBL.
+one path; `sbl_ompl` puts it beside OMPL's planners, none of which is SBL.
 
 Two trees of milestones grow from start and goal. A milestone is drawn from a random cell of a coarse grid over two
 random joints, so that crowded regions are not preferred; a neighbour of it is sampled in a box that shrinks until a
@@ -16,15 +16,14 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import LegJoints, LegPath
-
-IsFree = Callable[[np.ndarray], bool]
+from planner.motion.checker import BudgetSpentError, CountingChecker, EdgeCheck, IsFree, told
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +36,8 @@ class NoPath:
     """configurations that were checked for collision"""
     detail: str = ""
     """what stood in the way, where known"""
+    refused: Mapping[str, int] = field(default_factory=dict)
+    """configurations that each check refused, by its name, such as "joint_limits", "own_leg", "terrain" """
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +73,7 @@ def plan_sbl(
     goal: LegJoints,
     lower: LegJoints,
     upper: LegJoints,
-    is_free: IsFree,
+    is_free: IsFree | CountingChecker,
     rng: np.random.Generator,
     config: SblConfig,
 ) -> LegPath | NoPath:
@@ -83,20 +84,26 @@ def plan_sbl(
         goal: last configuration.
         lower: lower corner of the sampling box; start and goal lie inside.
         upper: upper corner.
-        is_free: whether a configuration collides with nothing.
+        is_free: whether a configuration collides with nothing; a `CountingChecker` also tells why not.
         rng: all randomness comes from here.
         config: settings; `max_checks` bounds the calls of `is_free`.
     """
     check_problem(start, goal, lower, upper)
-    checker = CountingChecker(is_free, config.max_checks)
+    checker = CountingChecker(is_free, config.max_checks, box=(lower, upper))
     try:
         if not checker(start):
-            return NoPath(reason="start_collides", checks=checker.count)
+            return no_path("start_collides", checker)
         if not checker(goal):
-            return NoPath(reason="goal_collides", checks=checker.count)
+            return no_path("goal_collides", checker)
         return _Search(start, goal, lower, upper, checker, rng, config).run()
     except BudgetSpentError:
-        return NoPath(reason="budget", checks=checker.count, detail=f"no path within {config.max_checks} checks")
+        return no_path("budget", checker, f"no path within {config.max_checks} checks")
+
+
+def no_path(reason: str, checker: CountingChecker, detail: str = "") -> NoPath:
+    """A refusal with the samples that each check refused, in its detail too."""
+    detail = "; ".join(part for part in (detail, told(checker.refused)) if part)
+    return NoPath(reason=reason, checks=checker.count, detail=detail, refused=dict(checker.refused))
 
 
 def check_problem(start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> None:
@@ -108,56 +115,6 @@ def check_problem(start: np.ndarray, goal: np.ndarray, lower: np.ndarray, upper:
         if not np.isfinite(q).all() or (q < lower).any() or (q > upper).any():
             box = f"{np.round(lower, 4)} to {np.round(upper, 4)}"
             raise PlanningError(f"{name} {np.round(q, 4)} is outside the box {box}")
-
-
-class BudgetSpentError(Exception):
-    """The number of collision checks allowed is used up. Caught inside the planner, never seen by a caller."""
-
-
-class CountingChecker:
-    """A collision check that counts its calls and refuses to go beyond a budget."""
-
-    def __init__(self, is_free: IsFree, budget: int | None = None) -> None:
-        self._is_free = is_free
-        self._budget = budget
-        self.count = 0
-
-    def __call__(self, q: np.ndarray) -> bool:
-        """Whether q is free; raises `BudgetSpentError` instead of a check too many."""
-        if self._budget is not None and self.count >= self._budget:
-            raise BudgetSpentError
-        self.count += 1
-        return bool(self._is_free(q))
-
-
-class EdgeCheck:
-    """How far a straight edge between two free configurations has been checked: bisected level by level."""
-
-    __slots__ = ("_a", "_span", "level", "spacing")
-
-    def __init__(self, a: np.ndarray, b: np.ndarray) -> None:
-        self._a = a
-        self._span = b - a
-        self.level = 0
-        self.spacing = float(np.linalg.norm(self._span))
-        """between neighbouring checked points [rad]"""
-
-    def refine(self, checker: Callable[[np.ndarray], bool]) -> bool:
-        """Check the middles of all unchecked pieces; False when one collides."""
-        pieces = 1 << self.level
-        for i in range(pieces):
-            if not checker(self._a + ((i + 0.5) / pieces) * self._span):
-                return False
-        self.level += 1
-        self.spacing *= 0.5
-        return True
-
-    def is_free(self, checker: Callable[[np.ndarray], bool], resolution: float) -> bool:
-        """Check down to the resolution at once; False at the first collision."""
-        while self.spacing > resolution:
-            if not self.refine(checker):
-                return False
-        return True
 
 
 class _Search:

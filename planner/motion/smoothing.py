@@ -14,7 +14,7 @@ import numpy as np
 
 from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import LegPath
-from planner.motion.sbl import CountingChecker, EdgeCheck, IsFree
+from planner.motion.checker import CountingChecker, EdgeCheck, IsFree
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,7 +12,7 @@ sampling box surrounds both ends by a padding within the limits, so rolls stay n
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -21,9 +21,10 @@ from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import LegJoints, Vec3
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import RobotSpec
+from planner.motion.checker import CountingChecker, EdgeCheck
 from planner.motion.collision import LegCollision
 from planner.motion.planners import plan
-from planner.motion.sbl import CountingChecker, EdgeCheck, NoPath, SblConfig
+from planner.motion.sbl import NoPath, SblConfig
 from planner.motion.smoothing import SmoothingConfig, path_length, smooth
 
 
@@ -122,11 +123,11 @@ def plan_swing(
         return first
     if isinstance(last, NoPath):
         return last
-    checker = CountingChecker(collision.is_free)
+    checker = CountingChecker(refusal=collision.refusal)
     crossing = _cross(first.path[-1], last.path[-1], checker, legs, planner, rng, config)
     checks = legs.checks + checker.count
     if isinstance(crossing, NoPath):
-        return NoPath(reason=crossing.reason, checks=legs.checks + crossing.checks, detail=crossing.detail)
+        return replace(crossing, checks=legs.checks + crossing.checks)
     middle, method, raw_length, rounds = crossing
     waypoints = np.concatenate([first.path[:-1], middle, last.path[::-1][1:]])
     return SwingPath(
@@ -242,10 +243,10 @@ def _cross(
                 return nodes, "direct", path_length(nodes), 0
             smoothed = smooth(nodes, checker, config.smoothing)
             return smoothed.waypoints, "raised", smoothed.lengths[0], len(smoothed.lengths) - 1
-    lower, upper = _box(straight.spec, a, b, config)
+    lower, upper = sampling_box(straight.spec, a, b, config)
     found = plan(planner, a, b, lower, upper, checker, rng, config.sbl)
     if isinstance(found, NoPath):
-        return NoPath(reason=found.reason, checks=checker.count, detail=f"{planner}: {found.detail}")
+        return replace(found, checks=checker.count, detail=f"{planner}: {found.detail}")
     smoothed = smooth(found, checker, config.smoothing)
     return smoothed.waypoints, planner, smoothed.lengths[0], len(smoothed.lengths) - 1
 
@@ -255,8 +256,8 @@ def _longest_first(nodes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     return sorted(itertools.pairwise(nodes), key=lambda edge: -float(np.linalg.norm(edge[1] - edge[0])))
 
 
-def _box(spec: RobotSpec, a: np.ndarray, b: np.ndarray, config: SwingConfig) -> tuple[np.ndarray, np.ndarray]:
-    """Sampling box: both ends padded by kind of joint, within the limits (an end may lie on one, or a hair beyond)."""
+def sampling_box(spec: RobotSpec, a: LegJoints, b: LegJoints, config: SwingConfig) -> tuple[LegJoints, LegJoints]:
+    """Lower and upper corner [rad]: both ends padded by kind of joint, within the limits (an end may lie on one, or a hair beyond)."""
     padding = np.deg2rad([config.padding_deg[int(np.argmax(np.abs(joint.axis)))] for joint in spec.joints])
     low, high = np.minimum(a, b), np.maximum(a, b)
     lower = np.minimum(np.maximum(low - padding, spec.lower), low)

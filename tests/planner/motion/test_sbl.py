@@ -6,8 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from athlete_twin.errors import PlanningError
-from planner.motion.planners import METHODS, plan, sbl_in_ompl
+from planner.motion.checker import JOINT_LIMITS, CountingChecker
+from planner.motion.planners import METHODS, plan
 from planner.motion.sbl import NoPath, SblConfig, check_problem, plan_sbl
+from planner.motion.sbl_ompl import sbl_in_ompl
 
 RESOLUTION = 0.01
 LOWER, UPPER = np.zeros(2), np.ones(2)
@@ -162,3 +164,29 @@ def test_sbl_works_as_a_planner_of_ompl(passable):
     path = np.array([[s[0], s[1]] for s in definition.getSolutionPath().getStates()])
     direct = plan_sbl(START, GOAL, LOWER, UPPER, through_gap, np.random.default_rng(3), SblConfig(max_checks=3000))
     np.testing.assert_array_equal(path, direct)
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_no_says_how_many_samples_each_check_refused(method):
+    """Two checks of two names: what a planner reports is what a tally beside it counts."""
+    tally = {"wall": 0, "ring": 0}
+
+    def why(q):
+        found = "wall" if q[0] < 0.05 else None if enclosed(q) else "ring"
+        if found is not None:
+            tally[found] += 1
+        return found
+
+    checker = CountingChecker(refusal=why)
+    answer = plan(method, START, GOAL, LOWER, UPPER, checker, np.random.default_rng(1), SblConfig(max_checks=800))
+    assert isinstance(answer, NoPath)
+    told = {name: count for name, count in answer.refused.items() if name != JOINT_LIMITS}
+    assert told == {name: count for name, count in tally.items() if count}
+    assert told["ring"] > 0 and f"ring {told['ring']}" in answer.detail
+
+
+def test_bit_star_stops_at_its_first_solution():
+    """It is a planner that goes on improving: here it answers long before its budget is spent."""
+    checker = CountingChecker(lambda q: not (0.4 < q[0] < 0.6 and not 0.2 < q[1] < 0.5))
+    path = plan("bitstar", START, GOAL, LOWER, UPPER, checker, np.random.default_rng(0), SblConfig(max_checks=200_000))
+    assert isinstance(path, np.ndarray) and checker.count < 20_000
