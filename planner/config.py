@@ -44,6 +44,7 @@ from planner.gait.step_search import SearchConfig, StepConfig, TouchdownConfig
 from planner.gait.survey import SurveyConfig
 from planner.motion.collision import CollisionConfig
 from planner.motion.planners import METHODS as LEG_PLANNERS
+from planner.motion.relief import ReliefConfig
 from planner.motion.sbl import SblConfig
 from planner.motion.smoothing import SmoothingConfig
 from planner.motion.swing import SwingConfig
@@ -68,7 +69,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "margin": MARGINS,
     "footfall": FOOTFALLS,
     "leg_planner": LEG_PLANNERS,
-    "smoothing": ("dijkstra_bisect",),
+    "smoothing": ("dijkstra_bisect", "least_torque"),
     "gait": ("reverse_wave",),
     "body_motion": ("straight",),
     "touchdown": ("guarded",),
@@ -91,6 +92,7 @@ SETTINGS: dict[str, type] = {
     "collision": CollisionConfig,
     "leg_planner": SblConfig,
     "smoothing": SmoothingConfig,
+    "relief": ReliefConfig,
     "gait": GaitConfig,
     "search": SearchConfig,
     "touchdown": TouchdownConfig,
@@ -168,7 +170,8 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         stage: _settings(name, stage, own.get(stage, {}), chosen.get(stage), extra)
         for stage in SETTINGS
     }
-    swing = SwingConfig(sbl=made["leg_planner"], smoothing=made["smoothing"])
+    relief = made["relief"] if chosen["smoothing"] == "least_torque" else None
+    swing = SwingConfig(sbl=made["leg_planner"], smoothing=made["smoothing"], relief=relief)
     return PlannerConfig(
         name=name,
         fusion_method=chosen["fusion"],

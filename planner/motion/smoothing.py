@@ -1,7 +1,8 @@
 """Shorter paths: Dijkstra over all free shortcuts, then bisection for new nodes, until the length stops improving.
 
 Place in the flow: SBL -> smoothing -> swing. Sampled paths are feasible and jerky; this keeps the ends, checks every
-new edge to the planner's resolution and can only shorten. Reference: [SunSpiral2012] s3.4.2, figure 4.
+new edge to the planner's resolution and can only shorten; the finished path is looked at once more, finely.
+Reference: [SunSpiral2012] s3.4.2, figure 4.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ class SmoothingConfig:
 
     resolution: float = 0.01
     """of edge checks [rad] ([SunSpiral2012] s3.4.1)"""
+    fine_resolution: float = 0.002
+    """of the last check of the finished path [rad]: what is thinner than `resolution` may hide from all checks before"""
     min_improvement: float = 0.01
     """relative gain in length of one round below which the rounds end"""
     max_rounds: int = 8
@@ -31,7 +34,8 @@ class SmoothingConfig:
     """edges tried grow with the square of the nodes: a path with more is not bisected further"""
 
     def __post_init__(self) -> None:
-        if not (self.resolution > 0.0 and self.min_improvement >= 0.0 and self.max_rounds >= 1 and self.max_nodes >= 2):
+        positive = min(self.resolution, self.fine_resolution) > 0.0 and self.min_improvement >= 0.0
+        if not (positive and self.max_rounds >= 1 and self.max_nodes >= 2):
             raise PlanningError(f"smoothing needs positive settings, got {self}")
 
 
@@ -45,6 +49,8 @@ class SmoothPath:
     """joint-space length before, and after each round [rad]"""
     checks: int
     """configurations checked for collision"""
+    confirmed: bool = True
+    """whether the finished path is free at the fine resolution; if not, it is the one given, and no way through its nodes is"""
 
 
 def smooth(path: LegPath, is_free: IsFree, config: SmoothingConfig) -> SmoothPath:
@@ -56,8 +62,11 @@ def smooth(path: LegPath, is_free: IsFree, config: SmoothingConfig) -> SmoothPat
     for a, b in itertools.pairwise(nodes):
         edges.trust(a, b)
     lengths = [path_length(nodes)]
+    pool = nodes
     for round_ in range(config.max_rounds):
-        nodes = _shortest(nodes, edges)
+        shortest = _shortest(pool, edges)
+        assert shortest is not None  # the path given is one
+        nodes = shortest
         lengths.append(path_length(nodes))
         gain = lengths[-2] - lengths[-1]
         # The first round only drops nodes of the raw path: the bisection after it may gain where it could not.
@@ -66,8 +75,27 @@ def smooth(path: LegPath, is_free: IsFree, config: SmoothingConfig) -> SmoothPat
         if round_ > 0 and gain <= config.min_improvement * lengths[-2]:
             break
         if round_ < config.max_rounds - 1:
-            nodes = _bisected(nodes, edges)
-    return SmoothPath(waypoints=_without_straight(nodes), lengths=tuple(lengths), checks=edges.checker.count)
+            pool = _bisected(nodes, edges)
+    finished = _confirmed(nodes, (pool, _bisected(np.asarray(path, dtype=float), edges)), edges, config.fine_resolution)
+    return SmoothPath(
+        waypoints=_without_straight(np.asarray(path, dtype=float) if finished is None else finished),
+        lengths=tuple(lengths),
+        checks=edges.checker.count,
+        confirmed=finished is not None,
+    )
+
+
+def _confirmed(
+    nodes: np.ndarray, pools: tuple[np.ndarray, ...], edges: _Edges, resolution: float
+) -> np.ndarray | None:
+    """The path, or the shortest other one through the nodes it came from, free at a fine resolution; None where there is none."""
+    if edges.confirm(nodes, resolution):
+        return nodes
+    for pool in pools:
+        while (found := _shortest(pool, edges)) is not None:
+            if edges.confirm(found, resolution):
+                return found
+    return None
 
 
 def path_length(path: LegPath) -> float:
@@ -82,6 +110,7 @@ class _Edges:
         self.checker = checker
         self._resolution = resolution
         self._known: dict[tuple[bytes, bytes], bool] = {}
+        self._fine: dict[tuple[bytes, bytes], bool] = {}
 
     def trust(self, a: np.ndarray, b: np.ndarray) -> None:
         self._known[a.tobytes(), b.tobytes()] = True
@@ -92,9 +121,20 @@ class _Edges:
             self._known[key] = EdgeCheck(a, b).is_free(self.checker, self._resolution)
         return self._known[key]
 
+    def confirm(self, nodes: np.ndarray, resolution: float) -> bool:
+        """Whether all edges of a path are free at another resolution; the first that is not counts as colliding from now on."""
+        for a, b in itertools.pairwise(nodes):
+            key = (a.tobytes(), b.tobytes())
+            if key not in self._fine:
+                self._fine[key] = EdgeCheck(a, b).is_free(self.checker, resolution)
+            if not self._fine[key]:
+                self._known[key] = False
+                return False
+        return True
 
-def _shortest(nodes: np.ndarray, edges: _Edges) -> np.ndarray:
-    """Shortest way from the first to the last node by free edges forward along the path.
+
+def _shortest(nodes: np.ndarray, edges: _Edges) -> np.ndarray | None:
+    """Shortest way from the first to the last node by free edges forward along the path; None where there is none.
 
     Dijkstra with the straight distance to the end as a lower bound (A*), and an edge is checked only when the search
     would use it: most shortcuts are never touched.
@@ -118,6 +158,8 @@ def _shortest(nodes: np.ndarray, edges: _Edges) -> np.ndarray:
             if not done[j]:
                 reach = length + float(np.linalg.norm(nodes[j] - nodes[i]))
                 heapq.heappush(heap, (reach + float(to_end[j]), reach, j, i))
+    if not done[-1]:
+        return None
     chain = [n - 1]
     while chain[-1] != 0:
         chain.append(int(parent[chain[-1]]))

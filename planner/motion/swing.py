@@ -24,7 +24,8 @@ from athlete_twin.model.spec import RobotSpec
 from planner.motion.checker import CountingChecker, EdgeCheck
 from planner.motion.collision import LegCollision
 from planner.motion.planners import plan
-from planner.motion.sbl import NoPath, SblConfig
+from planner.motion.relief import ReliefConfig, hanging_torque, relieve
+from planner.motion.sbl import NoPath, SblConfig, no_path
 from planner.motion.smoothing import SmoothingConfig, path_length, smooth
 
 
@@ -34,6 +35,8 @@ class SwingConfig:
 
     sbl: SblConfig = field(default_factory=SblConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
+    relief: ReliefConfig | None = None
+    """of joint torques after smoothing; None for the shortest path"""
     vertical_step: float = 0.025
     """between checked points of a straight way: half of the terrain clearance [m]"""
     branch_tolerance: float = 0.03
@@ -242,13 +245,27 @@ def _cross(
             if height == 0.0:
                 return nodes, "direct", path_length(nodes), 0
             smoothed = smooth(nodes, checker, config.smoothing)
-            return smoothed.waypoints, "raised", smoothed.lengths[0], len(smoothed.lengths) - 1
+            if not smoothed.confirmed:
+                continue
+            return _relieved(smoothed.waypoints, checker, straight, rng, config), "raised", smoothed.lengths[0], len(smoothed.lengths) - 1
     lower, upper = sampling_box(straight.spec, a, b, config)
     found = plan(planner, a, b, lower, upper, checker, rng, config.sbl)
     if isinstance(found, NoPath):
         return replace(found, checks=checker.count, detail=f"{planner}: {found.detail}")
     smoothed = smooth(found, checker, config.smoothing)
-    return smoothed.waypoints, planner, smoothed.lengths[0], len(smoothed.lengths) - 1
+    if not smoothed.confirmed:
+        return no_path("thin", checker, f"{planner}: something thinner than {resolution} rad lies across the path")
+    return _relieved(smoothed.waypoints, checker, straight, rng, config), planner, smoothed.lengths[0], len(smoothed.lengths) - 1
+
+
+def _relieved(
+    nodes: np.ndarray, checker: CountingChecker, straight: _Straight, rng: np.random.Generator, config: SwingConfig
+) -> np.ndarray:
+    if config.relief is None:
+        return nodes
+    spec, collision = straight.spec, straight.collision
+    peak = hanging_torque(spec, collision.leg, collision.world_from_hex)
+    return relieve(nodes, peak, checker, spec.lower, spec.upper, rng, config.relief).waypoints
 
 
 def _longest_first(nodes: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
