@@ -29,6 +29,8 @@ from planner.motion.smoothing import path_length
 
 PeakTorque = Callable[[Float[np.ndarray, "n dof"]], Float[np.ndarray, " n"]]
 DOWN = np.array([0.0, 0.0, -1.0])
+SLOPE_STEP = 1e-4
+"""of the finite differences of the torque [rad]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,13 +39,13 @@ class ReliefConfig:
 
     max_extra: float = 0.10
     """length over that of the path given"""
-    layers: int = 8
+    layers: int = 5
     """of nodes between the ends"""
     kicks: int = 24
-    """neighbours of each node"""
-    spread: float = 0.2
+    """neighbours of each node, of each of three kinds"""
+    spread: float = 0.35
     """of the kicks in the first round; half of it in each that follows [rad]"""
-    rounds: int = 4
+    rounds: int = 8
     min_gain: float = 0.005
     """of the torque over its limit in one round below which the rounds end"""
     edge_points: int = 5
@@ -52,7 +54,7 @@ class ReliefConfig:
     """of the bound on the torque"""
     resolution: float = 0.002
     """of edge checks [rad]: nothing looks at the path after"""
-    max_cuts: int = 60
+    max_cuts: int = 200
     """colliding ways looked at in one round before what is found so far is taken"""
 
     def __post_init__(self) -> None:
@@ -147,7 +149,10 @@ def _bend(
     ceiling: float,
 ) -> np.ndarray | None:
     """The best way through the layers about a path; None where none is better that is free."""
-    layers = _layers(nodes, rng, config, spread, lower, upper)
+    layers = [
+        np.array([q for n, q in enumerate(layer) if n == 0 or checker(q)])
+        for layer in _layers(nodes, peak, rng, config, spread, lower, upper)
+    ]
     lengths = [np.linalg.norm(b[None] - a[:, None], axis=2) for a, b in itertools.pairwise(layers)]
     torques = [_edge_peaks(a, b, peak, config.edge_points) for a, b in itertools.pairwise(layers)]
     known: dict[tuple[int, int, int], bool] = {}
@@ -177,9 +182,19 @@ def _bend(
 
 
 def _layers(
-    nodes: np.ndarray, rng: np.random.Generator, config: ReliefConfig, spread: float, lower: np.ndarray, upper: np.ndarray
+    nodes: np.ndarray,
+    peak: PeakTorque,
+    rng: np.random.Generator,
+    config: ReliefConfig,
+    spread: float,
+    lower: np.ndarray,
+    upper: np.ndarray,
 ) -> list[np.ndarray]:
-    """The path's nodes, and as many between as are wanted, each with its neighbours; the ends alone."""
+    """The path's nodes, and as many between as are wanted, each with its neighbours; the ends alone.
+
+    A third of the kicks are the same for all layers, so that a way may run beside the path without winding about it; a third go down
+    the torque's slope from where each layer is, by more and less; a third go anywhere.
+    """
     at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(nodes, axis=0), axis=1))])
     places = np.unique(np.concatenate([at, np.linspace(0.0, at[-1], config.layers + 2)]))
     # Neighbours of two nodes that nearly coincide would do the same work twice.
@@ -187,11 +202,22 @@ def _layers(
     keep[-1] = True
     on_path = np.array([[np.interp(s, at, nodes[:, j]) for j in range(nodes.shape[1])] for s in places[keep]])
     on_path[0], on_path[-1] = nodes[0], nodes[-1]
+    dof, count = nodes.shape[1], config.kicks
+    common = _kicks(rng, count, dof, spread)
+    steps = np.eye(dof) * SLOPE_STEP
     out = [on_path[:1]]
     for node in on_path[1:-1]:
-        kicked = node + spread * rng.uniform(0.1, 1.0, (config.kicks, 1)) * rng.standard_normal((config.kicks, len(node)))
-        out.append(np.concatenate([node[None], np.clip(kicked, lower, upper)]))
+        slope = peak(np.concatenate([node + steps, node - steps])).reshape(2, dof)
+        down = slope[1] - slope[0]
+        down /= max(float(np.linalg.norm(down)), 1e-12)
+        along = spread * rng.uniform(0.1, 2.0, (count, 1)) * down + 0.2 * spread * rng.standard_normal((count, dof))
+        beside = node + np.concatenate([common, along, _kicks(rng, count, dof, spread)])
+        out.append(np.concatenate([node[None], np.clip(beside, lower, upper)]))
     return [*out, on_path[-1:]]
+
+
+def _kicks(rng: np.random.Generator, count: int, dof: int, spread: float) -> np.ndarray:
+    return np.asarray(spread * rng.uniform(0.1, 1.0, (count, 1)) * rng.standard_normal((count, dof)))
 
 
 def _edge_peaks(a: np.ndarray, b: np.ndarray, peak: PeakTorque, points: int) -> np.ndarray:
@@ -225,7 +251,7 @@ def _first_hit(
     for edge in sorted(edges, key=lambda e: -float(np.linalg.norm(ends[e][1] - ends[e][0]))):
         if edge not in known:
             a, b = ends[edge]
-            known[edge] = checker(b) and checker(a) and EdgeCheck(a, b).is_free(checker, resolution)
+            known[edge] = EdgeCheck(a, b).is_free(checker, resolution)
         if not known[edge]:
             return edge
     return None
