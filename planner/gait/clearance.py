@@ -12,7 +12,7 @@ from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import Vec3
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.model.reach import all_legs_ik
+from athlete_twin.model.reach import all_legs_ik, leg_ik
 from planner.gait.cycle import GaitCycle
 from planner.motion.collision import BodyCollision, CollisionConfig
 
@@ -48,6 +48,26 @@ def first_strike(cycle: GaitCycle, body: BodyCollision, displacements: np.ndarra
             if hit is not None:
                 return hit
     return None
+
+
+def reaches_with_spare(cycle: GaitCycle, spare: float) -> bool:
+    """Whether all legs would reach at every judged moment if each wheel were off by `spare` [m], inward, outward, up or down.
+
+    A real robot sags, its encoders are off and its steps end where the ground is; a stance at the edge of its reach does not
+    survive that.
+    """
+    for k in range(cycle.phases):
+        axles = np.concatenate([cycle.swing_axles(k), cycle.start[k][None], cycle.goal[k][None]]) - cycle.chassis[k]
+        after = cycle.goal[k][None] - (cycle.chassis[k + 1] if k + 1 < cycle.phases else cycle.chassis[0] + cycle.advance)
+        moments = np.concatenate([axles, after])
+        for leg, hip in enumerate(cycle.spec.hips_in_hex):
+            away = moments[:, leg] - hip
+            outward = away * [1.0, 1.0, 0.0] / np.maximum(np.linalg.norm(away[:, :2], axis=1), 1e-9)[:, None]
+            for off in (outward, -outward, np.array([0.0, 0.0, 1.0]), np.array([0.0, 0.0, -1.0])):
+                _, reaches = leg_ik(cycle.spec, leg, moments[:, leg] + spare * off, last_link_in_hex=-cycle.footing.up)
+                if not reaches.all():
+                    return False
+    return True
 
 
 def ground_of(cycle: GaitCycle, config: CollisionConfig | None = None) -> BodyCollision:

@@ -16,7 +16,7 @@ import numpy as np
 from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import Vec2
 from athlete_twin.model.spec import RobotSpec
-from planner.gait.clearance import first_strike, ground_of
+from planner.gait.clearance import first_strike, ground_of, reaches_with_spare
 from planner.gait.cycle import CycleVerdict, GaitCycle, gait_cycle, judge_cycles
 from planner.gait.limits import footing_on
 
@@ -31,7 +31,7 @@ class SlopeSearch:
     """shortest lengths tried, over the drawings' foot radius and chassis height"""
     high: float = 1.3
     """longest"""
-    points: int = 6
+    points: int = 8
     """of the first grid along each axis"""
     shrink: float = 0.5
     """of the grid from round to round"""
@@ -41,6 +41,8 @@ class SlopeSearch:
     """figures about which the next round looks"""
     step_deg: float = 4.0
     """between slopes in the first round, halved in each further one [deg]"""
+    spare: float = 0.0
+    """by which any wheel may be off and still be reached [m]"""
     looked_at: int = 40
     """figures of a grid that are checked for strikes at most, those with the least torque first"""
     steepest_deg: float = 44.0
@@ -219,8 +221,14 @@ def _free(
     cycles: list[GaitCycle], verdicts: list[CycleVerdict], why: list[str], search: SlopeSearch
 ) -> tuple[list[int], list[str]]:
     """Indices of the few with the least torque that strike nothing, and what others on the way there strike."""
-    body, good, struck = ground_of(cycles[0]), [], []
-    for i in sorted((i for i in range(len(cycles)) if not why[i]), key=lambda i: (verdicts[i].peak, i))[: search.looked_at]:
+    body, good, struck, looked = ground_of(cycles[0]), [], [], 0
+    for i in sorted((i for i in range(len(cycles)) if not why[i]), key=lambda i: (verdicts[i].peak, i)):
+        if search.spare > 0.0 and not reaches_with_spare(cycles[i], search.spare):
+            struck.append("leave no reach to spare")
+            continue
+        if looked == search.looked_at:
+            break
+        looked += 1
         hit = first_strike(cycles[i], body)
         if hit is None:
             good.append(i)
