@@ -172,7 +172,8 @@ class Athlete:
         joints, world_from_hex = self._first_stance(stance) if start is None else start
         # Motors take angles as their encoders read them: what is commanded is off by the encoders' zeros.
         self.executive = Executive(kin=self.kin, setpoint=joints + self.trial.encoder_zero)
-        self.body.place(world_from_hex, joints)
+        # However it begins, the robot is one and the same: its dampers are those of the drawings' stance.
+        self.body.place(world_from_hex, joints, damped_for=None if start is None else all_legs_ik(spec, stance)[0])
         self._settle()
         self._record_track()
         self._waiting: list[Message] = [self._telemetry()]
