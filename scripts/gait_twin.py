@@ -13,6 +13,7 @@ import numpy as np
 from bench_table import Row, row
 from gait_figures import AHEAD, PAIRS, SLOPES_DEG, Gaits, told
 from gait_yard import GaitYard, WalkedCycle
+from sag_yard import StanceRefusedError
 
 from athlete_twin.world.scenario import load_scenario
 from planner.gait.cycle import gait_cycle, judge_cycle
@@ -25,6 +26,8 @@ LIFT = {"sdm_b": 0.25, "t12": 0.45}
 """of a swinging wheel: T12 sags by 0.35 m before its wheels break contact on slopes, SDM-B by less than 0.15 m [m]"""
 SAND, HARD = "slope_14", "calibration_yard"
 """the paper's loose sand on a hard base (friction 0.45), and concrete (0.75)"""
+FRICTION = 0.75
+"""of concrete; a slope as steep as its arctangent lets any wheel slide that carries its share straight down"""
 GENTLER = 0.85
 """of a slope or stride that was not finished, the next one tried"""
 TRIES = 5
@@ -51,7 +54,7 @@ def slope_rows(gaits: Gaits, seed: int) -> list[Row]:
             out.append(row(f"{gaits.spec.name}: twin, steepest slope, deck {deck}: no, {best.reason}", None, "deg"))
             continue
         planned = float(np.floor(np.rad2deg(best.angle)))
-        tried = planned
+        tried = min(planned, float(np.floor(GENTLER * np.rad2deg(np.arctan(FRICTION)))))
         for _ in range(TRIES):
             rows = _slope(gaits, seed, tried, deck, HARD)
             out += rows
@@ -64,7 +67,11 @@ def slope_rows(gaits: Gaits, seed: int) -> list[Row]:
 
 
 def walk_slope(gaits: Gaits, seed: int, degrees: float, deck: str, soil: str) -> Walk | NoSlopeStance:
-    """Plan the stance of least torque on a slope and have the twin walk a cycle."""
+    """Plan the stance of least torque on a slope and have the twin walk a cycle.
+
+    Raises:
+        StanceRefusedError: the robot does not even stand there.
+    """
     stance = stance_on(
         gaits.spec, np.deg2rad(degrees), stride=gaits.stride, deck=deck, search=SlopeSearch(spare=SPARE), lift=LIFT[gaits.spec.name]
     )
@@ -80,7 +87,10 @@ def walk_slope(gaits: Gaits, seed: int, degrees: float, deck: str, soil: str) ->
 def _slope(gaits: Gaits, seed: int, degrees: float, deck: str, soil: str) -> list[Row]:
     """The first row says by its verdict whether the cycle was finished."""
     what = f"{gaits.spec.name}: twin, {degrees:g} deg, deck {deck}, {'sand' if soil == SAND else 'concrete'}"
-    found = walk_slope(gaits, seed, degrees, deck, soil)
+    try:
+        found = walk_slope(gaits, seed, degrees, deck, soil)
+    except StanceRefusedError as e:
+        return [row(f"{what}, advance: no, it does not stand: {e}", 0.0, "m", target="> 0")]
     if isinstance(found, NoSlopeStance):
         return [row(f"{what}, advance: no, {found.reason}", None, "m", target="> 0")]
     walked, stance = found.walked, found.stance

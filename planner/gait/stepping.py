@@ -126,8 +126,9 @@ def cross(spec: RobotSpec, profile: Profile, config: SteppingConfig) -> Crossing
             )
     body = BodyCollision(spec, profile.grid(), CollisionConfig())
     looked: dict[tuple[int, int, bool], str | None] = {}
+    graph = _Graph(layers, config)
     for _ in range(ROUNDS):
-        way = _shortest(layers)
+        way = graph.shortest()
         if way is None:
             struck = sorted({hit for hit in looked.values() if hit})
             return NoCrossing(reason="the poses of the steps do not join" + (f"; struck: {', '.join(struck[:3])}" if struck else ""))
@@ -191,6 +192,15 @@ class _Layer:
     """poses from which the step goes, shape (n,)"""
     peak: np.ndarray
     """largest torque over its limit while the leg swings, shape (n,)"""
+
+    def rows_of(self, index: np.ndarray) -> np.ndarray:
+        """Which row holds each of m grid places (m, 3); -1 where none does."""
+        # Rows run over pitch, then ahead, then up, each without gaps.
+        low, high = self.index.min(axis=0), self.index.max(axis=0)
+        _, ups, _ = shape = high - low + 1
+        at = index - low
+        rows = (at[:, 2] * shape[0] + at[:, 0]) * ups + at[:, 1]
+        return np.where(((at >= 0) & (at < shape)).all(axis=1), rows, -1)
 
 
 def _layer(
@@ -262,48 +272,55 @@ def pose_of(config: SteppingConfig, index: np.ndarray) -> SE3:
     return SE3.from_rotvec(np.array([0.0, -pitch, 0.0]), place).compose(SE3.from_rotvec(np.array([0.0, 0.0, -heading]), np.zeros(3)))
 
 
-def _shortest(layers: Sequence[_Layer]) -> list[list[int]] | None:
-    """Rows of each layer's poses on the way through: from where its stance begins to where it is left; None without a way."""
-    sizes = np.array([len(layer.index) for layer in layers])
-    first = np.concatenate([[0], np.cumsum(sizes)])
-    rows, columns, costs = [], [], []
-    keys = [{tuple(i): r for r, i in enumerate(layer.index)} for layer in layers]
-    offsets = [np.array(o) for o in np.ndindex(3, 3, 3)]
-    for k, layer in enumerate(layers):
-        down = np.flatnonzero(layer.down)
-        for row in down:
-            for off in offsets:
-                other = keys[k].get(tuple(layer.index[row] + off - 1))
-                if other is None or other == row or not layer.down[other]:
+class _Graph:
+    """All layers' poses, each joined to its neighbours on the grid, and to itself in the next layer where the step goes."""
+
+    def __init__(self, layers: Sequence[_Layer], config: SteppingConfig) -> None:
+        self._layers = layers
+        self._first = np.concatenate([[0], np.cumsum([len(layer.index) for layer in layers])])
+        size = np.array([*config.step, np.deg2rad(config.pitch_step_deg) * 2.0])
+        rows, columns, costs, swings = [], [], [], []
+        for k, layer in enumerate(layers):
+            for off in np.ndindex(3, 3, 3):
+                to = layer.rows_of(layer.index + np.array(off) - 1)
+                here = np.flatnonzero(to >= 0)
+                if off == (1, 1, 1):
                     continue
-                rows.append(first[k] + row)
-                columns.append(first[k] + other)
-                costs.append(0.12 * float(np.linalg.norm(off - 1)))
-        if k + 1 == len(layers):
-            break
-        for row in np.flatnonzero(layer.swings):
-            then = keys[k + 1].get(tuple(layer.index[row]))
-            if then is not None and layers[k + 1].down[then]:
-                rows.append(first[k] + row)
-                columns.append(first[k + 1] + then)
-                costs.append(1e-6 + TORQUE_COST * float(layer.peak[row]) ** 2)
-    nodes = int(first[-1]) + 1
-    for row in np.flatnonzero(layers[0].down):
-        rows.append(nodes - 1)
-        columns.append(first[0] + row)
-        costs.append(1e-6)
-    graph = coo_matrix((costs, (rows, columns)), shape=(nodes, nodes)).tocsr()
-    distance, before = dijkstra(graph, indices=nodes - 1, return_predecessors=True)
-    last = first[-2] + np.flatnonzero(layers[-1].down)
-    if not len(last) or not np.isfinite(distance[last]).any():
-        return None
-    node = int(last[np.argmin(distance[last])])
-    way: list[list[int]] = [[] for _ in layers]
-    while node != nodes - 1:
-        k = int(np.searchsorted(first, node, side="right")) - 1
-        way[k].insert(0, node - int(first[k]))
-        node = int(before[node])
-    return way
+                rows.append(self._first[k] + here)
+                columns.append(self._first[k] + to[here])
+                costs.append(np.full(len(here), float(np.linalg.norm((np.array(off) - 1) * size))))
+                swings.append(np.zeros(len(here), dtype=bool))
+            if k + 1 < len(layers):
+                to = layers[k + 1].rows_of(layer.index)
+                here = np.flatnonzero((to >= 0) & np.isfinite(layer.peak))
+                rows.append(self._first[k] + here)
+                columns.append(self._first[k + 1] + to[here])
+                costs.append(1e-6 + TORQUE_COST * layer.peak[here] ** 2)
+                swings.append(np.ones(len(here), dtype=bool))
+        self._rows, self._columns = np.concatenate(rows), np.concatenate(columns)
+        self._costs, self._swings = np.concatenate(costs), np.concatenate(swings)
+
+    def shortest(self) -> list[list[int]] | None:
+        """Rows of each layer's poses on the way through, from where its stance begins to where it is left; None without a way."""
+        down = np.concatenate([layer.down for layer in self._layers])
+        leaves = np.concatenate([layer.swings for layer in self._layers])
+        open_ = down[self._rows] & down[self._columns] & (~self._swings | leaves[self._rows])
+        start, begins = len(down), np.flatnonzero(self._layers[0].down)
+        rows = np.concatenate([self._rows[open_], np.full(len(begins), start)])
+        columns = np.concatenate([self._columns[open_], begins])
+        costs = np.concatenate([self._costs[open_], np.full(len(begins), 1e-6)])
+        graph = coo_matrix((costs, (rows, columns)), shape=(start + 1, start + 1)).tocsr()
+        distance, before = dijkstra(graph, indices=start, return_predecessors=True)
+        last = self._first[-2] + np.flatnonzero(self._layers[-1].down)
+        if not len(last) or not np.isfinite(distance[last]).any():
+            return None
+        node = int(last[np.argmin(distance[last])])
+        way: list[list[int]] = [[] for _ in self._layers]
+        while node != start:
+            k = int(np.searchsorted(self._first, node, side="right")) - 1
+            way[k].insert(0, node - int(self._first[k]))
+            node = int(before[node])
+        return way
 
 
 def _strikes(
