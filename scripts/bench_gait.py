@@ -1,6 +1,6 @@
 """What the regular gait can do, planned and executed: strides, sway, two legs at once, slopes.
 
-    python scripts/bench_gait.py [--robots sdm_b t12] [--parts strides sway slopes twin strides_twin slopes_twin] [--out DIR] [--json]
+    python scripts/bench_gait.py [--robots sdm_b t12] [--parts strides sway slopes steps twin ...] [--out DIR] [--json]
 
 `strides`: the longest cycle by heading, one leg at a time and opposite legs together. `sway`: the margin to saturation with the
 chassis displaced in three dimensions, beside the same footfalls without displacement and beside the best constant chassis height
@@ -8,7 +8,8 @@ and foot radius; and the peak torque with one leg and with two opposite legs in 
 the deck level and with the deck parallel to the ground, as drawn and in the best stance. These are planned: rigid, loads by zero interaction. `twin` executes a
 cycle of the plain gait, the sway gait and the opposite pairs on level concrete, a minute or two each: tyres, wind-up, servos
 and interaction included. `strides_twin` walks the longest stride and `slopes_twin` slopes of 7 and 14 deg and the steepest: the planned
-one, and where the twin does not finish, shorter or gentler ones until it does.
+one, and where the twin does not finish, shorter or gentler ones until it does. `steps` plans the
+largest ledge, ditch and wall, and `steps_twin` crosses them, or lower ones, a few minutes each.
 
 SDM-B's reference is a hex at 1.75 m over feet at 1.793 m and a stride of 0.6 m; T12's is the stance and stride of its drawings.
 """
@@ -20,6 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import gait_figures
+import gait_steps
 import gait_twin
 import tyro
 from bench_table import Row, show
@@ -29,9 +31,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from athlete_twin.errors import AthleteError
 from athlete_twin.model.spec import load_spec
 
-PARTS = ("strides", "sway", "slopes", "twin", "strides_twin", "slopes_twin")
-WALKED = {"strides_twin": gait_twin.stride_rows, "slopes_twin": gait_twin.slope_rows}
-"""parts that the twin walks, besides `twin`"""
+ROWS = {
+    "steps": gait_steps.step_rows, "strides_twin": gait_twin.stride_rows, "slopes_twin": gait_twin.slope_rows,
+    "steps_twin": gait_steps.step_twin_rows,
+}  # fmt: skip
+"""parts that have their own files"""
+PARTS = ("strides", "sway", "slopes", "steps", "twin", "strides_twin", "slopes_twin", "steps_twin")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +45,7 @@ class Options:
 
     robots: tuple[str, ...] = ("sdm_b", "t12")
     parts: tuple[str, ...] = PARTS
-    """any of strides, sway, slopes, twin, strides_twin and slopes_twin"""
+    """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin and steps_twin"""
     seed: int = 0
     """of the individual that walks in `twin`"""
     out: Path | None = None
@@ -68,8 +73,8 @@ def main(arguments: list[str] | None = None) -> int:
                 gaits = gait_figures.Gaits(robot)
                 for part in options.parts:
                     progress.update(task, description=f"{part} {robot}")
-                    if part in WALKED:
-                        rows += WALKED[part](gaits, options.seed)
+                    if part in ROWS:
+                        rows += ROWS[part](gaits, options.seed)
                     else:
                         rows += gaits.twin(options.seed) if part == "twin" else getattr(gaits, part)()
                     progress.advance(task)

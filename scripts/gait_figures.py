@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from bench_table import Row, row
@@ -17,6 +18,7 @@ from athlete_twin.model.statics import stance_loads
 from planner.gait.cycle import CycleVerdict, GaitCycle, gait_cycle, judge_cycle
 from planner.gait.limits import DECKS, Limit, longest_stride, steepest_slope
 from planner.gait.slope_stance import NoSlopeStance, SlopeStance, stance_on, steepest_stance
+from planner.gait.stepping import Crossing, Largest
 from planner.gait.sway import ConstantPose, NoSway, SwayConfig, SwayGait, best_constant_pose, sway_gait
 from planner.stability.rigid_stance import rigid_stances
 
@@ -47,6 +49,10 @@ class Gaits:
         """executed cycles by name, once `twin` was asked for"""
         self.slopes_walked: dict[str, WalkedCycle] = {}
         """the same on slopes, once `slopes_twin` was asked for"""
+        self.largest_crossings: dict[str, Largest] = {}
+        """by kind of obstacle, once planned"""
+        self.crossed: dict[str, tuple[Crossing, Any]] = {}
+        """by kind of obstacle, the last one executed and what became of it, once `steps_twin` was asked for"""
 
     @cached_property
     def wave(self) -> GaitCycle:

@@ -19,6 +19,7 @@ from athlete_twin.model.spec import RobotSpec
 from planner.gait.clearance import first_strike, ground_of, reaches_with_spare
 from planner.gait.cycle import CycleVerdict, GaitCycle, gait_cycle, judge_cycles
 from planner.gait.limits import footing_on
+from planner.motion.collision import CollisionConfig
 
 AXES = ("across", "uphill", "downhill", "height")
 
@@ -43,6 +44,8 @@ class SlopeSearch:
     """between slopes in the first round, halved in each further one [deg]"""
     spare: float = 0.0
     """by which any wheel may be off and still be reached [m]"""
+    clearance: float = 0.01
+    """of all parts but wheels from the ground [m]"""
     looked_at: int = 40
     """figures of a grid that are checked for strikes at most, those with the least torque first"""
     steepest_deg: float = 44.0
@@ -221,7 +224,10 @@ def _free(
     cycles: list[GaitCycle], verdicts: list[CycleVerdict], why: list[str], search: SlopeSearch
 ) -> tuple[list[int], list[str]]:
     """Indices of the few with the least torque that strike nothing, and what others on the way there strike."""
-    body, good, struck, looked = ground_of(cycles[0]), [], [], 0
+    good: list[int] = []
+    struck: list[str] = []
+    looked = 0
+    body = ground_of(cycles[0], CollisionConfig(near_ground_clearance=search.clearance))
     for i in sorted((i for i in range(len(cycles)) if not why[i]), key=lambda i: (verdicts[i].peak, i)):
         if search.spare > 0.0 and not reaches_with_spare(cycles[i], search.spare):
             struck.append("leave no reach to spare")

@@ -10,7 +10,7 @@ them until nothing strikes. Last links are plumb, swings go straight up, over an
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ from planner.stability.rigid_stance import Footing, rigid_stances
 
 ALONG = (0.0, 0.34, 0.67, 1.0)
 """where a wheel on its way over is judged"""
+LEAST_STEP = 0.02
+"""shorter ones are not made [m]"""
 ROUNDS = 60
 """of taking out poses that strike something"""
 TORQUE_COST = 2.0
@@ -147,14 +149,17 @@ def footfalls(
     regular = config.foot_scale * spec.foot_radius * np.column_stack([np.cos(angles), np.sin(angles)])
     order = reverse_wave(spec, np.array([np.cos(heading), np.sin(heading)]))
     now = regular[:, 0] - regular[:, 0].max() + holds[0, 1] - config.behind
-    beyond, wanted = holds[-1, 0], now.copy()
+    beyond = holds[-1, 0]
     feet = [_axles(spec, profile, now, regular[:, 1])]
     steps: list[tuple[int, np.ndarray]] = []
     while now.min() < beyond:
-        wanted = wanted + config.stride
+        # A leg that an edge held back holds all back: nobody runs ahead of it by more than a stride.
+        base = float((now - regular[:, 0]).min()) + config.stride
         for leg in order:
-            place = max(_nearest(holds, float(wanted[leg])), float(now[leg]))
-            if place - now[leg] < 0.02:
+            place = _nearest(holds, base + float(regular[leg, 0]))
+            if place < now[leg] + LEAST_STEP and now[leg] - regular[leg, 0] < base - config.stride + LEAST_STEP:
+                place = _next(holds, float(now[leg]))  # it waits at the edge, and all wait for it
+            if place < now[leg] + LEAST_STEP:
                 continue
             after = now.copy()
             after[leg] = place
@@ -178,6 +183,12 @@ def _nearest(holds: np.ndarray, x: float) -> float:
     """The firm place closest to x [m]."""
     places = np.clip(x, holds[:, 0], holds[:, 1])
     return float(places[np.argmin(np.abs(places - x))])
+
+
+def _next(holds: np.ndarray, x: float) -> float:
+    """Where the next firm stretch begins; x itself on the last one [m]."""
+    ahead = holds[holds[:, 0] > x, 0]
+    return float(ahead[0]) if len(ahead) else x
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -382,3 +393,52 @@ def _hit(
         if hit is not None:
             return hit
     return None
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Largest:
+    """The largest obstacle of a kind for which a crossing was found."""
+
+    size: float
+    """[m]; NaN where not even the first was"""
+    crossing: Crossing | None
+    ended_by: str
+    """what the next larger one ended in, for the config tried last"""
+
+
+def largest_crossing(
+    spec: RobotSpec, make: Callable[[float], Profile], configs: Sequence[SteppingConfig], *, low: float, high: float, digit: float
+) -> Largest:
+    """By halving between `low` and `high` [m], to `digit`: the largest obstacle that any of the configs crosses.
+
+    Args:
+        spec: the drawings.
+        make: the obstacle of a size.
+        configs: tried in their order at each size.
+        low: the least size tried; the answer is NaN where no config crosses it.
+        high: the largest.
+        digit: how closely.
+    """
+    if not (0.0 < low < high and digit > 0.0 and configs):
+        raise PlanningError(f"need 0 < low < high, a positive digit and a config, got {low}, {high}, {digit}")
+    found: Crossing | None = None
+    at, ended = float("nan"), ""
+    tried = low
+    while True:
+        got: Crossing | None = None
+        for config in configs:
+            answer = cross(spec, make(tried), config)
+            if isinstance(answer, Crossing):
+                got = answer
+                break
+            reason = answer.reason
+        if got is None:
+            if found is None:
+                return Largest(size=at, crossing=None, ended_by=reason)
+            high, ended = tried, reason
+        else:
+            found, at, low = got, tried, tried
+        if high - low <= digit + 1e-9:
+            return Largest(size=at, crossing=found, ended_by=ended)
+        # Sizes stay on a ruler of whole digits above the first.
+        tried = low + digit * max(1.0, np.floor(0.5 * (high - low) / digit + 1e-9))

@@ -38,7 +38,7 @@ def test_picture_is_drawn(script, figures, tmp_path):
     ("arguments", "message"),
     [
         (["--robots", "sdm_x"], "sdm_x"),
-        (["--parts", "ears"], "part 'ears' is not one of strides, sway, slopes, twin, strides_twin, slopes_twin"),
+        (["--parts", "ears"], "part 'ears' is not one of strides, sway, slopes, steps, twin, strides_twin, slopes_twin, steps_twin"),
         (["--seed", "-1"], "--seed -1 is negative"),
     ],
 )
