@@ -46,6 +46,8 @@ class Options:
     robots: tuple[str, ...] = ("sdm_b", "t12")
     parts: tuple[str, ...] = PARTS
     """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin and steps_twin"""
+    obstacles: tuple[str, ...] = ("ledge", "ditch", "wall")
+    """of `steps` and `steps_twin`"""
     seed: int = 0
     """of the individual that walks in `twin`"""
     out: Path | None = None
@@ -58,6 +60,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the script; the exit status."""
     options = tyro.cli(Options, args=arguments, description=__doc__)
     unknown = [p for p in options.parts if p not in PARTS]
+    strange = [o for o in options.obstacles if o not in gait_steps.OBSTACLES]
+    if strange:
+        sys.stderr.write(f"bench_gait: obstacle {strange[0]!r} is not one of {', '.join(gait_steps.OBSTACLES)}\n")
+        return 2
     if unknown or options.seed < 0:
         wrong = f"part {unknown[0]!r} is not one of {', '.join(PARTS)}" if unknown else f"--seed {options.seed} is negative"
         sys.stderr.write(f"bench_gait: {wrong}\n")
@@ -71,6 +77,7 @@ def main(arguments: list[str] | None = None) -> int:
             task = progress.add_task("", total=len(options.robots) * len(options.parts))
             for robot in options.robots:
                 gaits = gait_figures.Gaits(robot)
+                gaits.obstacles = options.obstacles
                 for part in options.parts:
                     progress.update(task, description=f"{part} {robot}")
                     if part in ROWS:
@@ -80,8 +87,10 @@ def main(arguments: list[str] | None = None) -> int:
                     progress.advance(task)
                 if options.out is not None:
                     import gait_pictures
+                    import terrain_pictures
 
                     gait_pictures.draw(gaits, options.out / f"gait_{robot}.png")
+                    terrain_pictures.draw(gaits, options.out / f"terrain_{robot}.png")
     except AthleteError as e:
         sys.stderr.write(f"bench_gait: {' '.join(str(e).split())}\n")
         return 2

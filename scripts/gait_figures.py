@@ -49,6 +49,8 @@ class Gaits:
         """executed cycles by name, once `twin` was asked for"""
         self.slopes_walked: dict[str, WalkedCycle] = {}
         """the same on slopes, once `slopes_twin` was asked for"""
+        self.obstacles: tuple[str, ...] = ()
+        """kinds that are stepped onto or over; all when empty"""
         self.largest_crossings: dict[str, Largest] = {}
         """by kind of obstacle, once planned"""
         self.crossed: dict[str, tuple[Crossing, Any]] = {}

@@ -26,7 +26,7 @@ PLANS = {
 }
 """ways to go, tried in their order"""
 OBSTACLES: dict[str, tuple[Callable[[float], Profile], float, float, float]] = {
-    "ledge": (ledge, 0.1, 1.7, 0.05), "ditch": (ditch, 0.1, 1.7, 0.1), "wall": (wall, 0.1, 1.3, 0.1),
+    "ledge": (ledge, 0.1, 1.7, 0.1), "ditch": (ditch, 0.1, 1.7, 0.1), "wall": (wall, 0.1, 1.3, 0.1),
 }  # fmt: skip
 """maker, smallest and largest size tried, and how closely the limit is found [m]"""
 CLAIM = 1.7
@@ -50,7 +50,7 @@ def step_rows(gaits: Gaits, seed: int) -> list[Row]:
     del seed
     out: list[Row] = []
     name = gaits.spec.name
-    for kind in OBSTACLES:
+    for kind in gaits.obstacles or OBSTACLES:
         found = largest(gaits, kind)
         claim = {"peer_name": "claimed", "peer": CLAIM} if kind == "ledge" and name == "sdm_b" else {}
         what = f"{name}: largest {kind}, planned; {'ended by: ' + found.ended_by if found.ended_by else 'nothing up to there'}"
@@ -65,7 +65,8 @@ def step_rows(gaits: Gaits, seed: int) -> list[Row]:
 def step_twin_rows(gaits: Gaits, seed: int) -> list[Row]:
     """The largest ledge, ditch and wall of a few that the twin crosses, beginning with the planned ones."""
     out: list[Row] = []
-    for kind, (make, low, _, digit) in OBSTACLES.items():
+    for kind in gaits.obstacles or OBSTACLES:
+        make, low, _, digit = OBSTACLES[kind]
         planned = largest(gaits, kind)
         size, crossing = planned.size, planned.crossing
         best: float | None = None

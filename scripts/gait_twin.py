@@ -62,7 +62,7 @@ def slope_rows(gaits: Gaits, seed: int) -> list[Row]:
         planned = float(np.floor(np.rad2deg(best.angle)))
         tried = min(planned, float(np.floor(GENTLER * np.rad2deg(np.arctan(FRICTION)))))
         for _ in range(TRIES):
-            rows = _slope(gaits, seed, tried, deck, HARD, gaits.stride)
+            rows = _slope(gaits, seed, tried, deck, HARD, gaits.stride, best)
             out += rows
             if rows[0]["met"]:
                 break
@@ -72,7 +72,9 @@ def slope_rows(gaits: Gaits, seed: int) -> list[Row]:
     return out
 
 
-def walk_slope(gaits: Gaits, seed: int, degrees: float, deck: str, soil: str, stride: float) -> Walk | NoSlopeStance:
+def walk_slope(
+    gaits: Gaits, seed: int, degrees: float, deck: str, soil: str, stride: float, hint: SlopeStance | None = None
+) -> Walk | NoSlopeStance:
     """Plan the stance of least torque on a slope and have the twin walk a cycle.
 
     Raises:
@@ -80,7 +82,7 @@ def walk_slope(gaits: Gaits, seed: int, degrees: float, deck: str, soil: str, st
     """
     stance = stance_on(
         gaits.spec, np.deg2rad(degrees), stride=stride, deck=deck, search=SlopeSearch(spare=SPARE, clearance=CLEARANCE),
-        lift=LIFT[gaits.spec.name],
+        lift=LIFT[gaits.spec.name], hint=hint,
     )  # fmt: skip
     if isinstance(stance, NoSlopeStance):
         return stance
@@ -91,11 +93,13 @@ def walk_slope(gaits: Gaits, seed: int, degrees: float, deck: str, soil: str, st
         yard.close()
 
 
-def _slope(gaits: Gaits, seed: int, degrees: float, deck: str, soil: str, stride: float) -> list[Row]:
+def _slope(
+    gaits: Gaits, seed: int, degrees: float, deck: str, soil: str, stride: float, hint: SlopeStance | None = None
+) -> list[Row]:
     """The first row says by its verdict whether the cycle was finished without a strike."""
     what = f"{gaits.spec.name}: twin, {degrees:g} deg, deck {deck}, {'sand' if soil == SAND else 'concrete'}, stride {stride:g} m"
     try:
-        found = walk_slope(gaits, seed, degrees, deck, soil, stride)
+        found = walk_slope(gaits, seed, degrees, deck, soil, stride, hint)
     except StanceRefusedError as e:
         return [row(f"{what}, advance: no, it does not stand: {e}", 0.0, "m", target="> 0")]
     if isinstance(found, NoSlopeStance):

@@ -158,8 +158,9 @@ def stance_on(
     search: SlopeSearch | None = None,
     lift: float | None = None,
     payload_kg: float = 0.0,
+    hint: SlopeStance | None = None,
 ) -> SlopeStance | NoSlopeStance:
-    """The figure that walks one slope with the least peak torque; arguments as of `walks`."""
+    """The figure that walks one slope with the least peak torque; arguments as of `walks`, and a figure that may do."""
     search = SlopeSearch() if search is None else search
     best: SlopeStance | None = None
     refused: dict[str, int] = {}
@@ -167,6 +168,8 @@ def stance_on(
     for degrees in search.directions_deg:
         heading = np.array([np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))])
         grid, half = _first_grid(spec, search)
+        if hint is not None and np.allclose(hint.heading, heading):
+            grid = np.vstack([grid, hint.lengths])
         for _ in range(search.rounds):
             cycles, verdicts, why = walks(
                 spec, angle, heading, grid, stride=stride, deck=deck, lift=lift, payload_kg=payload_kg
