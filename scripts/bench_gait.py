@@ -1,15 +1,16 @@
-"""What the regular gait can do, planned and executed: strides, sway, two legs at once, slopes.
+"""What the regular gait can do, planned and executed: strides, sway, two legs at once, slopes, stepping onto and over.
 
     python scripts/bench_gait.py [--robots sdm_b t12] [--parts strides sway slopes steps twin ...] [--out DIR] [--json]
 
 `strides`: the longest cycle by heading, one leg at a time and opposite legs together. `sway`: the margin to saturation with the
 chassis displaced in three dimensions, beside the same footfalls without displacement and beside the best constant chassis height
 and foot radius; and the peak torque with one leg and with two opposite legs in the air. `slopes`: the steepest even slope with
-the deck level and with the deck parallel to the ground, as drawn and in the best stance. These are planned: rigid, loads by zero interaction. `twin` executes a
-cycle of the plain gait, the sway gait and the opposite pairs on level concrete, a minute or two each: tyres, wind-up, servos
-and interaction included. `strides_twin` walks the longest stride and `slopes_twin` slopes of 7 and 14 deg and the steepest: the planned
-one, and where the twin does not finish, shorter or gentler ones until it does. `steps` plans the
-largest ledge, ditch and wall, and `steps_twin` crosses them, or lower ones, a few minutes each.
+the deck level and with the deck parallel to the ground, as drawn and in the best stance. `steps`: the largest ledge, ditch and
+wall (`--obstacles`). These are planned: rigid, loads by zero interaction.
+
+`twin` executes a cycle of the plain gait, the sway gait and the opposite pairs on level concrete, a minute or two each: tyres,
+wind-up, servos and interaction included. `strides_twin` walks the longest stride, `slopes_twin` slopes of 7 and 14 deg and the
+steepest, `steps_twin` crosses the largest obstacles: the planned one first, and where the twin does not finish, lesser ones.
 
 SDM-B's reference is a hex at 1.75 m over feet at 1.793 m and a stride of 0.6 m; T12's is the stance and stride of its drawings.
 """

@@ -71,16 +71,16 @@ class GaitYard(SagYard):
         world_from_hex = SE3(rotation=_turned(footing.up, np.array([0.0, 0.0, 1.0])), translation=np.zeros(3))
         normal = world_from_hex.rotate(footing.normal)
         angle, heading = np.arccos(np.clip(normal[2], -1.0, 1.0)), np.arctan2(-normal[1], -normal[0])
-        figures = {"roughness": scenario.parameters["roughness"], "angle_deg": float(np.rad2deg(angle)), "heading_deg": float(np.rad2deg(heading))}
+        figures = {"angle_deg": float(np.rad2deg(angle)), "heading_deg": float(np.rad2deg(heading))}
+        figures["roughness"] = scenario.parameters["roughness"]
         joints, reaches = all_legs_ik(spec, cycle.start[0] - cycle.chassis[0], last_link_in_hex=-footing.up)
         if not reaches.all():
             raise StanceRefusedError(f"leg {int(np.argmin(reaches)) + 1} does not reach where the cycle begins")
         place = world_from_hex.rotate(cycle.chassis[0])
         tilt = float(np.arccos(np.clip(footing.up[2], -1.0, 1.0)))
-        return cls(
-            spec.name, seed, scenario=replace(scenario, kind="slope", parameters=figures), start=(joints, SE3(rotation=world_from_hex.rotation,
-            translation=place)), max_tilt=MAX_TILT + tilt,
-        )  # fmt: skip
+        begin = SE3(rotation=world_from_hex.rotation, translation=place)
+        ground = replace(scenario, kind="slope", parameters=figures)
+        return cls(spec.name, seed, scenario=ground, start=(joints, begin), max_tilt=MAX_TILT + tilt)
 
     def walk(self, cycle: GaitCycle, displacements: np.ndarray | None = None) -> WalkedCycle:
         """Put the wheels where the cycle begins, then walk it once; the chassis displaced by (k, 3) [m], by nothing when None."""

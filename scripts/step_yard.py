@@ -76,7 +76,7 @@ class StepYard(GaitYard):
                     self._to(pose, near=LONGEST)
                 pose = self._planned_pose(number)
                 self._to(pose, near=NEAR)
-                self._swing(step, pose)
+                self._swing(step)
                 axles[step.leg] = step.path[3]
                 self._shape(pose.inverse().apply(axles), pose)
             except StanceRefusedError as e:
@@ -111,7 +111,7 @@ class StepYard(GaitYard):
             share = min(1.0, LONGEST / size)
             self.run([BodyMove(translation_in_hex=share * way.translation, rotvec_in_hex=share * turn)])
 
-    def _swing(self, step: LegStep, pose: SE3) -> None:
+    def _swing(self, step: LegStep) -> None:
         """Up, over and down until the wheel carries; where it goes is told in hex as it truly lies."""
         true, leg = self.robot.truth().world_from_hex, step.leg
         up = true.inverse().rotate(np.array([0.0, 0.0, 1.0]))

@@ -41,7 +41,7 @@ def draw(gaits: Gaits, path: Path) -> Path:
             _slope(axis, gaits.spec, found)
     if "ledge" in gaits.crossed:
         crossing, walked = gaits.crossed["ledge"]
-        chosen = np.linspace(0, len(walked.poses) - 1, STAGES).round().astype(int) if walked.poses else []
+        chosen: list[int] = [round(s * (len(walked.poses) - 1)) for s in np.linspace(0.0, 1.0, STAGES)] if walked.poses else []
         for axis, k in zip(flat[2:], chosen, strict=False):
             _ledge(axis, crossing, walked.poses[k], walked.joints[k])
             axis.set_title(f"{crossing.profile.name}, twin, after step {k + 1} of {len(crossing.steps)}")

@@ -185,7 +185,7 @@ def stance_on(
             i = good[0]
             if best is None or verdicts[i].peak < best.verdict.peak:
                 best = SlopeStance(angle=angle, heading=heading, lengths=grid[i], cycle=cycles[i], verdict=verdicts[i])
-            grid, half = _finer(spec, grid[good], half, search)
+            grid, half = _finer(grid[good], half, search)
     if best is None:
         told = ", ".join(f"{count} {kind}" for kind, count in sorted(refused.items(), key=lambda pair: -pair[1]) if kind)
         return NoSlopeStance(tried=tried, reason=f"of {tried} stances {told}")
@@ -216,7 +216,7 @@ def _steepest(
         if best is None:
             return NoSlopeStance(tried=tried, reason=f"none of {tried} stances walks on level ground with a stride of {stride:g} m")
         kept = best.lengths[None] if good is None else np.vstack([best.lengths, good])
-        grid, half = _finer(spec, kept, half, search)
+        grid, half = _finer(kept, half, search)
         step *= 0.5
         angle = best.angle + step
     assert best is not None  # the first round found one or returned
@@ -256,7 +256,7 @@ def _first_grid(spec: RobotSpec, search: SlopeSearch) -> tuple[np.ndarray, np.nd
     return grid, 0.5 * (search.high - search.low) / (search.points - 1) * scale
 
 
-def _finer(spec: RobotSpec, kept: np.ndarray, half: np.ndarray, search: SlopeSearch) -> tuple[np.ndarray, np.ndarray]:
+def _finer(kept: np.ndarray, half: np.ndarray, search: SlopeSearch) -> tuple[np.ndarray, np.ndarray]:
     """Figures about those kept, half a grid away, and the new half."""
     axis = np.array([-1.0, 0.0, 1.0])
     about = np.stack(np.meshgrid(*[axis] * 4, indexing="ij"), axis=-1).reshape(-1, 4)
