@@ -17,7 +17,7 @@ from athlete_twin.model.stance import stance_wheels_in_hex
 from athlete_twin.model.statics import stance_loads
 from planner.gait.cycle import CycleVerdict, GaitCycle, gait_cycle, judge_cycle
 from planner.gait.limits import DECKS, Limit, longest_stride, steepest_slope
-from planner.gait.slope_stance import NoSlopeStance, SlopeStance, stance_on, steepest_stance
+from planner.gait.slope_stance import NoSlopeStance, SlopeSearch, SlopeStance, stance_on, steepest_stance
 from planner.gait.stepping import Crossing, Largest
 from planner.gait.sway import ConstantPose, NoSway, SwayConfig, SwayGait, best_constant_pose, sway_gait
 from planner.stability.rigid_stance import rigid_stances
@@ -30,6 +30,8 @@ REFERENCE = {"sdm_b": (0.6, 1.793, 1.75)}
 """stride, foot radius and chassis height by robot facts 12a; a robot without an entry walks as drawn [m]"""
 SLOPES_DEG = (7.0, 14.0)
 """that SDM-B walked, [SunSpiral2012] s5.3.4 [deg]"""
+WIDE = SlopeSearch(points=6)
+"""for the steepest slope: its first grid is judged on many"""
 SHORT = 0.1
 """a stride at which a robot barely walks, for limits of the stance [m]"""
 MORE = ">= 0.2"
@@ -155,7 +157,7 @@ class Gaits:
                 what = f"{name}: steepest slope, deck {deck}, stride {stride:g} m"
                 drawn = steepest_slope(self.spec, AHEAD, stride=stride, deck=deck)
                 out.append(row(f"{what}, stance as drawn; {_end(drawn)}", _deg(drawn), "deg"))
-                best = steepest_stance(self.spec, stride=stride, deck=deck)
+                best = steepest_stance(self.spec, stride=stride, deck=deck, search=WIDE)
                 if isinstance(best, NoSlopeStance):
                     out.append(row(f"{what}: no, {best.reason}", None, "deg"))
                 else:

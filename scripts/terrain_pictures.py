@@ -32,7 +32,7 @@ def draw(gaits: Gaits, path: Path) -> Path:
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(2, 3, figsize=(15, 8), constrained_layout=True)
+    figure, axes = plt.subplots(2, 3, figsize=(15, 5.6), constrained_layout=True)
     flat = axes.ravel()
     for axis, deck in zip(flat, DECKS, strict=False):
         found = stance_on(gaits.spec, np.deg2rad(ANGLE_DEG), stride=gaits.stride, deck=deck)
@@ -50,6 +50,8 @@ def draw(gaits: Gaits, path: Path) -> Path:
             axis.set_axis_off()
             continue
         axis.set(xlabel="ahead [m]", ylabel="up [m]")
+        middle = float(np.mean(axis.get_xlim()))
+        axis.set_xlim(middle - 3.2, middle + 3.2)
         axis.set_aspect("equal")
         axis.grid(alpha=0.3)
     figure.suptitle(f"{gaits.spec.name}: front legs orange, middle blue, rear green")
@@ -67,13 +69,13 @@ def _slope(axis: Any, spec: RobotSpec, stance: SlopeStance) -> None:
     lean = np.arcsin(np.clip(cycle.footing.up[:2] @ heading, -1.0, 1.0))
     turn = SE3.from_rotvec(np.array([0.0, -lean, 0.0]), np.zeros(3)).compose(SE3.from_rotvec(np.array([0.0, 0.0, -back]), np.zeros(3)))
     _robot(axis, spec, SE3(rotation=turn.rotation, translation=turn.rotate(cycle.chassis[0])), joints)
-    x = np.array([-4.0, 4.0])
+    x = np.array([-3.2, 3.2])
     axis.plot(x, np.tan(stance.angle) * x, color="k", linewidth=1.0)
 
 
 def _ledge(axis: Any, crossing: Crossing, pose: SE3, joints: np.ndarray) -> None:
     _robot(axis, crossing.spec, pose, joints)
-    x = pose.translation[0] + np.linspace(-4.0, 4.0, 1601)
+    x = pose.translation[0] + np.linspace(-3.2, 3.2, 1601)
     axis.plot(x, crossing.profile.height(x), color="k", linewidth=1.0)
 
 
