@@ -11,7 +11,7 @@ from gait_figures import Gaits
 from sag_yard import StanceRefusedError
 from step_yard import StepYard, WalkedCrossing
 
-from planner.gait.profile import Profile, ditch, ledge, wall
+from planner.gait.ground_profile import Profile, ditch, ledge, wall
 from planner.gait.stepping import Crossing, Largest, SteppingConfig, cross, largest_crossing
 
 PLANS = {

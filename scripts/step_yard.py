@@ -19,7 +19,7 @@ from athlete_twin.model.kinematics import GRAVITY
 from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.world.scenario import Scenario, load_scenario
 from athlete_twin.world.terrain import Terrain, build_terrain
-from planner.gait.profile import Profile
+from planner.gait.ground_profile import Profile
 from planner.gait.stepping import Crossing, LegStep
 
 NEAR = 0.02

@@ -22,7 +22,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.reach import all_legs_ik, leg_ik
 from athlete_twin.model.spec import LEGS, RobotSpec
 from planner.gait.cycle import ALL_DOWN
-from planner.gait.profile import Profile
+from planner.gait.ground_profile import Profile
 from planner.gait.skeleton import reverse_wave
 from planner.motion.collision import BodyCollision, CollisionConfig
 from planner.stability.rigid_stance import Footing, rigid_stances

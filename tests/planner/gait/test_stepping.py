@@ -8,7 +8,7 @@ from athlete_twin.model.kinematics import kinematics
 from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.statics import peak_torque_fraction
-from planner.gait.profile import Profile, ditch, ledge, wall
+from planner.gait.ground_profile import Profile, ditch, ledge, wall
 from planner.gait.stepping import Crossing, NoCrossing, SteppingConfig, cross, footfalls, largest_crossing
 
 CONFIG = SteppingConfig(heading_deg=30.0, stride=0.6, foot_scale=1.1, behind=0.0, lift=0.25, clear=0.12)
