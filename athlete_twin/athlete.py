@@ -117,7 +117,20 @@ class Athlete:
         payload_kg: float = 0.0,
         trial: TrialTruth | None = None,
         terrain: Terrain | None = None,
+        start: tuple[Joints, SE3] | None = None,
     ) -> None:
+        """Set the robot down and let it come to rest.
+
+        Args:
+            spec: the drawings.
+            scenario: where.
+            seed: of the ground and of the individual.
+            payload_kg: on the middle of the deck [kg]
+            trial: the individual; drawn from the seed by default.
+            terrain: the ground; made from scenario and seed by default.
+            start: angles, shape (6, dof) [rad], and `world_from_hex` with all wheels just above the ground; the drawings'
+                stance, level, at the origin by default.
+        """
         self._breakage = Breakage(scenario, spec)  # before there is a physics client that a refusal would leave behind
         self.spec, self.scenario, self.seed = spec, scenario, seed
         self.robot_id = spec.name
@@ -156,10 +169,11 @@ class Athlete:
         self.collisions: list[Collision] = []
         self._touching: dict[tuple[str, str], float] = {}
         self.track: list[TrackPoint] = []
-        joints, world_from_hex = self._first_stance(stance)
+        joints, world_from_hex = self._first_stance(stance) if start is None else start
         # Motors take angles as their encoders read them: what is commanded is off by the encoders' zeros.
         self.executive = Executive(kin=self.kin, setpoint=joints + self.trial.encoder_zero)
-        self.body.place(world_from_hex, joints)
+        # However it begins, the robot is one and the same: its dampers are those of the drawings' stance.
+        self.body.place(world_from_hex, joints, damped_for=None if start is None else all_legs_ik(spec, stance)[0])
         self._settle()
         self._record_track()
         self._waiting: list[Message] = [self._telemetry()]

@@ -1,13 +1,16 @@
-"""What the regular gait can do, planned and executed: strides, sway, two legs at once, slopes.
+"""What the regular gait can do, planned and executed: strides, sway, two legs at once, slopes, stepping onto and over.
 
-    python scripts/bench_gait.py [--robots sdm_b t12] [--parts strides sway slopes twin] [--out DIR] [--json]
+    python scripts/bench_gait.py [--robots sdm_b t12] [--parts strides sway slopes steps twin ...] [--out DIR] [--json]
 
 `strides`: the longest cycle by heading, one leg at a time and opposite legs together. `sway`: the margin to saturation with the
 chassis displaced in three dimensions, beside the same footfalls without displacement and beside the best constant chassis height
 and foot radius; and the peak torque with one leg and with two opposite legs in the air. `slopes`: the steepest even slope with
-the deck level and with the deck parallel to the ground. These are planned: rigid, loads by zero interaction. `twin` executes a
-cycle of the plain gait, the sway gait and the opposite pairs on level concrete, a minute or two each: tyres, wind-up, servos
-and interaction included.
+the deck level and with the deck parallel to the ground, as drawn and in the best stance. `steps`: the largest ledge, ditch and
+wall (`--obstacles`). These are planned: rigid, loads by zero interaction.
+
+`twin` executes a cycle of the plain gait, the sway gait and the opposite pairs on level concrete, a minute or two each: tyres,
+wind-up, servos and interaction included. `strides_twin` walks the longest stride, `slopes_twin` slopes of 7 and 14 deg and the
+steepest, `steps_twin` crosses the largest obstacles: the planned one first, and where the twin does not finish, lesser ones.
 
 SDM-B's reference is a hex at 1.75 m over feet at 1.793 m and a stride of 0.6 m; T12's is the stance and stride of its drawings.
 """
@@ -19,6 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import gait_figures
+import gait_steps
+import gait_twin
 import tyro
 from bench_table import Row, show
 from rich.console import Console
@@ -27,7 +32,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from athlete_twin.errors import AthleteError
 from athlete_twin.model.spec import load_spec
 
-PARTS = ("strides", "sway", "slopes", "twin")
+ROWS = {
+    "steps": gait_steps.step_rows, "strides_twin": gait_twin.stride_rows, "slopes_twin": gait_twin.slope_rows,
+    "steps_twin": gait_steps.step_twin_rows,
+}  # fmt: skip
+"""parts that have their own files"""
+PARTS = ("strides", "sway", "slopes", "steps", "twin", "strides_twin", "slopes_twin", "steps_twin")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,7 +46,9 @@ class Options:
 
     robots: tuple[str, ...] = ("sdm_b", "t12")
     parts: tuple[str, ...] = PARTS
-    """any of strides, sway, slopes and twin"""
+    """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin and steps_twin"""
+    obstacles: tuple[str, ...] = ("ledge", "ditch", "wall")
+    """of `steps` and `steps_twin`"""
     seed: int = 0
     """of the individual that walks in `twin`"""
     out: Path | None = None
@@ -49,6 +61,10 @@ def main(arguments: list[str] | None = None) -> int:
     """Runs the script; the exit status."""
     options = tyro.cli(Options, args=arguments, description=__doc__)
     unknown = [p for p in options.parts if p not in PARTS]
+    strange = [o for o in options.obstacles if o not in gait_steps.OBSTACLES]
+    if strange:
+        sys.stderr.write(f"bench_gait: obstacle {strange[0]!r} is not one of {', '.join(gait_steps.OBSTACLES)}\n")
+        return 2
     if unknown or options.seed < 0:
         wrong = f"part {unknown[0]!r} is not one of {', '.join(PARTS)}" if unknown else f"--seed {options.seed} is negative"
         sys.stderr.write(f"bench_gait: {wrong}\n")
@@ -62,14 +78,20 @@ def main(arguments: list[str] | None = None) -> int:
             task = progress.add_task("", total=len(options.robots) * len(options.parts))
             for robot in options.robots:
                 gaits = gait_figures.Gaits(robot)
+                gaits.obstacles = options.obstacles
                 for part in options.parts:
                     progress.update(task, description=f"{part} {robot}")
-                    rows += gaits.twin(options.seed) if part == "twin" else getattr(gaits, part)()
+                    if part in ROWS:
+                        rows += ROWS[part](gaits, options.seed)
+                    else:
+                        rows += gaits.twin(options.seed) if part == "twin" else getattr(gaits, part)()
                     progress.advance(task)
                 if options.out is not None:
                     import gait_pictures
+                    import terrain_pictures
 
                     gait_pictures.draw(gaits, options.out / f"gait_{robot}.png")
+                    terrain_pictures.draw(gaits, options.out / f"terrain_{robot}.png")
     except AthleteError as e:
         sys.stderr.write(f"bench_gait: {' '.join(str(e).split())}\n")
         return 2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from bench_table import Row, row
@@ -15,7 +16,9 @@ from athlete_twin.model.spec import LEGS, load_spec
 from athlete_twin.model.stance import stance_wheels_in_hex
 from athlete_twin.model.statics import stance_loads
 from planner.gait.cycle import CycleVerdict, GaitCycle, gait_cycle, judge_cycle
-from planner.gait.limits import DECKS, Limit, footing_on, longest_stride, steepest_slope
+from planner.gait.limits import DECKS, Limit, longest_stride, steepest_slope
+from planner.gait.slope_stance import NoSlopeStance, SlopeSearch, SlopeStance, stance_on, steepest_stance
+from planner.gait.stepping import Crossing, Largest
 from planner.gait.sway import ConstantPose, NoSway, SwayConfig, SwayGait, best_constant_pose, sway_gait
 from planner.stability.rigid_stance import rigid_stances
 
@@ -27,8 +30,10 @@ REFERENCE = {"sdm_b": (0.6, 1.793, 1.75)}
 """stride, foot radius and chassis height by robot facts 12a; a robot without an entry walks as drawn [m]"""
 SLOPES_DEG = (7.0, 14.0)
 """that SDM-B walked, [SunSpiral2012] s5.3.4 [deg]"""
-HEIGHTS = np.linspace(0.6, 1.1, 11)
-"""of the chassis, over the drawings': tried on slopes"""
+WIDE = SlopeSearch(points=6)
+"""for the steepest slope: its first grid is judged on many"""
+SHORT = 0.1
+"""a stride at which a robot barely walks, for limits of the stance [m]"""
 MORE = ">= 0.2"
 """target of the sway's gain"""
 COARSE = SwayConfig(points=5, resolution=0.02)
@@ -44,6 +49,14 @@ class Gaits:
         self.stride, self.foot_radius, self.height = REFERENCE.get(robot, drawn)
         self.walked: dict[str, WalkedCycle] = {}
         """executed cycles by name, once `twin` was asked for"""
+        self.slopes_walked: dict[str, WalkedCycle] = {}
+        """the same on slopes, once `slopes_twin` was asked for"""
+        self.obstacles: tuple[str, ...] = ()
+        """kinds that are stepped onto or over; all when empty"""
+        self.largest_crossings: dict[str, Largest] = {}
+        """by kind of obstacle, once planned"""
+        self.crossed: dict[str, tuple[Crossing, Any]] = {}
+        """by kind of obstacle, the last one executed and what became of it, once `steps_twin` was asked for"""
 
     @cached_property
     def wave(self) -> GaitCycle:
@@ -137,28 +150,25 @@ class Gaits:
         )
 
     def slopes(self) -> list[Row]:
-        """The steepest slope, as drawn and at the best height, and the longest stride on the paper's slopes."""
-        out, name, stride = [], self.spec.name, self.stride
+        """The steepest slope as drawn, on a regular circle of feet, and in the best stance; and the stances on the paper's slopes."""
+        out, name = [], self.spec.name
         for deck in DECKS:
-            for saturates in (True, False):
-                judged = "" if saturates else ", reach and stability alone"
-                drawn = steepest_slope(self.spec, AHEAD, stride=stride, deck=deck, saturates=saturates)
-                height, best = max(
-                    ((h, steepest_slope(self.spec, AHEAD, stride=stride, deck=deck, chassis_height=h, saturates=saturates))
-                     for h in HEIGHTS * self.spec.chassis_height),
-                    key=lambda pair: np.nan_to_num(pair[1].value, nan=-1.0),
-                )  # fmt: skip
-                what = f"{name}: steepest slope, deck {deck}, stride {stride:g} m{judged}"
-                out.append(row(f"{what}, as drawn; {_end(drawn)}", _deg(drawn), "deg"))
-                out.append(row(f"{what}, chassis at {height:.2f} m; {_end(best)}", _deg(best), "deg"))
-        for degrees in SLOPES_DEG:
-            footing = footing_on(np.deg2rad(degrees), AHEAD, deck="level")
-            height, best = max(
-                ((h, longest_stride(self.spec, AHEAD, chassis_height=h, footing=footing)) for h in HEIGHTS * self.spec.chassis_height),
-                key=lambda pair: np.nan_to_num(pair[1].value, nan=-1.0),
-            )
-            what = f"{name}: longest stride up {degrees:g} deg, deck level, chassis at {height:.2f} m"
-            out.append(row(f"{what}; {_end(best)}", best.value, "m"))
+            for stride in (self.stride, SHORT):
+                what = f"{name}: steepest slope, deck {deck}, stride {stride:g} m"
+                drawn = steepest_slope(self.spec, AHEAD, stride=stride, deck=deck)
+                out.append(row(f"{what}, stance as drawn; {_end(drawn)}", _deg(drawn), "deg"))
+                best = steepest_stance(self.spec, stride=stride, deck=deck, search=WIDE)
+                if isinstance(best, NoSlopeStance):
+                    out.append(row(f"{what}: no, {best.reason}", None, "deg"))
+                else:
+                    out.append(row(f"{what}, best stance: {told(best)}", np.rad2deg(best.angle), "deg"))
+            for degrees in SLOPES_DEG:
+                found = stance_on(self.spec, np.deg2rad(degrees), stride=self.stride, deck=deck)
+                what = f"{name}: peak torque on {degrees:g} deg, deck {deck}, stride {self.stride:g} m"
+                if isinstance(found, NoSlopeStance):
+                    out.append(row(f"{what}: no, {found.reason}", None, "%"))
+                else:
+                    out.append(row(f"{what}, {told(found)}", 100.0 * found.verdict.peak, "%"))
         return out
 
     def twin(self, seed: int) -> list[Row]:
@@ -186,6 +196,16 @@ class Gaits:
             gain = (1.0 - pair[0].peak) / (1.0 - pair[1].peak) - 1.0 if whole and pair[1].peak < 1.0 else None
             out.append(row(f"{name}: twin, margin to saturation gained by sway on the reference", gain, "share", target=MORE))
         return out
+
+
+def told(stance: SlopeStance) -> str:
+    """Where feet and chassis are."""
+    across, uphill, downhill, height = stance.lengths
+    direction = np.rad2deg(np.arctan2(stance.heading[1], stance.heading[0]))
+    return (
+        f"feet {across:.2f} m across, {uphill:.2f} m uphill and {downhill:.2f} m downhill, chassis at {height:.2f} m, "
+        f"uphill at {direction:.0f} deg of hex"
+    )
 
 
 def _heading(degrees: float) -> Vec2:

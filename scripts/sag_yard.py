@@ -1,4 +1,4 @@
-"""A robot on level concrete, told over the link to take stances, and read with a distance meter.
+"""A robot on a yard, told over the link to take stances, and read with a distance meter.
 
 As [SunSpiral2012] s5.1.2-5.1.3 did it: the robot comes to rest in a stance, and somebody reads the heights of the chassis'
 corners, where the legs are attached, and of the wheels' axles. What the ground knows of a stance is what telemetry says
@@ -17,12 +17,14 @@ from athlete_twin.athlete import Athlete, TruthState
 from athlete_twin.errors import AthleteError
 from athlete_twin.geometry.arrays import Joints, PerLeg, PerLegFlag, Vec3, Wheels
 from athlete_twin.geometry.polygon import signed_distance
+from athlete_twin.geometry.se3 import SE3
 from athlete_twin.link import DelayedLink, downlink, uplink
 from athlete_twin.messages import BodyMove, Command, CommandSequence, LegMove, Telemetry, Wait
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, load_spec
 from athlete_twin.model.statics import peak_torque_fraction
-from athlete_twin.world.scenario import load_scenario
+from athlete_twin.world.scenario import Scenario, load_scenario
+from athlete_twin.world.terrain import Terrain
 from envs.mission import Mission
 from planner.sag.identify import MeasuredStance
 
@@ -42,6 +44,8 @@ LONGEST_MOVE = 0.15
 """of one wheel in one command that levels them [m]"""
 LOOK_EVERY, WATCH_EVERY = 5.0, 0.1
 """whether a sequence has ended, or what the truth is, is looked at that often [s]"""
+MAX_TILT = 0.35
+"""of the chassis, at which the executive stops on level ground: its default [rad]"""
 PATIENCE = 3600.0
 """after which a sequence that has not ended is given up [s]"""
 
@@ -73,12 +77,32 @@ class Reading:
 
 
 class SagYard:
-    """One individual of a robot, standing on the yard."""
+    """One individual of a robot, standing on the yard: level concrete, if no other ground is given."""
 
-    def __init__(self, robot: str, seed: int) -> None:
-        self.spec, self.seed = load_spec(robot), seed
+    def __init__(
+        self,
+        robot: str,
+        seed: int,
+        *,
+        scenario: Scenario | None = None,
+        terrain: Terrain | None = None,
+        start: tuple[Joints, SE3] | None = None,
+        max_tilt: float = MAX_TILT,
+    ) -> None:
+        """Set the robot down.
+
+        Args:
+            robot: its name.
+            seed: of ground and individual.
+            scenario: the ground; the calibration yard by default.
+            terrain: instead of the scenario's own.
+            start: as of `Athlete`.
+            max_tilt: of the chassis, at which the executive stops [rad].
+        """
+        self.spec, self.seed, self.max_tilt = load_spec(robot), seed, max_tilt
         self.kin = Kinematics(self.spec)
-        self.robot = Athlete(self.spec, load_scenario("calibration_yard"), seed)
+        ground = load_scenario("calibration_yard") if scenario is None else scenario
+        self.robot = Athlete(self.spec, ground, seed, terrain=terrain, start=start)
         self.lifted: tuple[int, ...] = ()
         self._place = np.zeros((LEGS, 3))
         links = (DelayedLink(make(DELAY), np.random.default_rng([seed, k])) for k, make in ((1, uplink), (2, downlink)))
@@ -143,7 +167,7 @@ class SagYard:
         mission.send(
             CommandSequence(
                 seq=self._sent, robot_id=self.robot.robot_id, t=mission.t, sequence_id=self._sent, commands=tuple(commands),
-                max_torque_fraction=torque,
+                max_torque_fraction=torque, max_tilt=self.max_tilt,
             )
         )  # fmt: skip
         given_up = mission.t + PATIENCE
@@ -179,16 +203,18 @@ class SagYard:
         self.lifted = tuple(other for other in self.lifted if other != leg)
         self.level(torque=torque)
 
-    def foot_path(self, leg: int, place_in_hex: np.ndarray, *, over: float) -> np.ndarray:
+    def foot_path(self, leg: int, place_in_hex: np.ndarray, *, over: float, up_in_hex: Vec3 | None = None) -> np.ndarray:
         """Commanded places of a standing leg's axle that is put down elsewhere: up, over, down, shape (3, 3) [m].
 
         Args:
             leg: index 0 to 5.
             place_in_hex: x and y of where it shall stand, shape (2,) [m].
             over: height that the wheel is lifted to on its way [m].
+            up_in_hex: where it is lifted to; square to the commanded plane by default.
         """
-        old, up = self.axles[leg], self.up_in_hex
-        new = np.array([*place_in_hex, old[2] - up[:2] @ (place_in_hex - old[:2]) / up[2]])
+        old, normal = self.axles[leg], self.up_in_hex
+        up = normal if up_in_hex is None else up_in_hex
+        new = np.array([*place_in_hex, old[2] - normal[:2] @ (place_in_hex - old[:2]) / normal[2]])
         return np.array([old + over * up, new + over * up, new - DEEPEST * up])
 
     def move_foot(self, leg: int, path: np.ndarray) -> None:

@@ -111,8 +111,15 @@ class Body:
 
     # --- state ----------------------------------------------------------------------------------------------------
 
-    def place(self, world_from_hex: SE3, joints: Joints) -> None:
-        """Put the robot somewhere, at rest, motors where the links are. To be called once, before the first step."""
+    def place(self, world_from_hex: SE3, joints: Joints, *, damped_for: Joints | None = None) -> None:
+        """Put the robot somewhere, at rest, motors where the links are. To be called once, before the first step.
+
+        Args:
+            world_from_hex: of the chassis.
+            joints: shape (6, dof) [rad].
+            damped_for: the posture whose inertias the joints' dampers are made for, shape (6, dof) [rad]; `joints` by default.
+                A bent ankle makes dampers of the rolls that a straight one turns unstable at this tick.
+        """
         b = self._bullet
         for leg in range(LEGS):
             for k in range(self.spec.dof):
@@ -121,7 +128,7 @@ class Body:
         b.resetBasePositionAndOrientation(
             self.robot, com.tolist(), world_from_hex.quaternion_xyzw().tolist(), physicsClientId=self._client
         )
-        inertias = self._joint_inertias(joints)
+        inertias = self._joint_inertias(joints if damped_for is None else damped_for)
         legs, docks = inertias[: LEGS * self.spec.dof], inertias[LEGS * (self.spec.dof + 1) :]
         limits = self.spec.torque_limits
         self._servos = Servos(self.trial.truth, limits, legs.reshape(LEGS, -1), np.array(joints, dtype=float))

@@ -73,6 +73,7 @@ def gait_cycle(
     stride: float,
     groups: Sequence[tuple[int, ...]] | None = None,
     foot_radius: float | None = None,
+    foot_plan: np.ndarray | None = None,
     chassis_height: float | None = None,
     footing: Footing = FLAT,
     lift: float | None = None,
@@ -88,6 +89,7 @@ def gait_cycle(
         stride: advance in a cycle, along the ground [m].
         groups: legs that swing together; by default one after the other, in the reverse wave.
         foot_radius: of the regular places, in the hex plane; the drawings' by default [m].
+        foot_plan: the regular places in the hex plane, shape (6, 2), instead of that circle [m].
         chassis_height: of the hex origin over the ground below it, along hex z; the drawings' by default [m].
         footing: how the ground lies.
         lift: of a swinging wheel over its footfalls [m].
@@ -104,7 +106,8 @@ def gait_cycle(
     slope = -footing.normal[:2] / footing.normal[2]
     along = np.append(heading, slope @ heading)
     advance = stride * along / np.linalg.norm(along)
-    plan = radius * np.column_stack([np.cos(spec.foot_azimuths), np.sin(spec.foot_azimuths)])
+    circle = radius * np.column_stack([np.cos(spec.foot_azimuths), np.sin(spec.foot_azimuths)])
+    plan = circle if foot_plan is None else np.asarray(foot_plan, dtype=float)
     places = np.column_stack([plan, plan @ slope]) + spec.wheel.radius * footing.normal
     gone = np.cumsum([0] + [len(group) for group in order]) / LEGS
     # A leg's footfall during a cycle: behind before its turn, one stride further after it.
@@ -192,25 +195,46 @@ class CycleVerdict:
 def judge_cycle(cycle: GaitCycle, displacements: np.ndarray | None = None, *, payload_kg: float = 0.0) -> CycleVerdict:
     """Judge a cycle, the chassis displaced in each phase by (k, 3) [m]; by nothing when None."""
     places = cycle.chassis if displacements is None else cycle.chassis + displacements
-    following = np.concatenate([places[1:], places[:1] + cycle.advance])
+    return _judged([cycle], [places], payload_kg)[0]
+
+
+def judge_cycles(cycles: Sequence[GaitCycle], *, payload_kg: float = 0.0) -> list[CycleVerdict]:
+    """Judge cycles that differ in where feet and chassis are; robot, footing and groups are those of the first: many in one go."""
+    for cycle in cycles[1:]:
+        if cycle.spec is not cycles[0].spec or cycle.footing is not cycles[0].footing or cycle.groups != cycles[0].groups:
+            raise PlanningError("cycles that are judged together must share robot, footing and groups")
+    return _judged(cycles, [cycle.chassis for cycle in cycles], payload_kg) if cycles else []
+
+
+def _judged(cycles: Sequence[GaitCycle], places: Sequence[np.ndarray], payload_kg: float) -> list[CycleVerdict]:
+    """Verdicts on n cycles, the chassis of each at (k, 3)."""
+    n, kinds = len(cycles), cycles[0]
+    following = [np.concatenate([at[1:], at[:1] + cycle.advance]) for cycle, at in zip(cycles, places, strict=True)]
     phase, swinging, parts = [], [], []
-    for k in range(cycle.phases):
-        swing = _at(cycle, cycle.swing_axles(k), places[k], cycle.standing(k), payload_kg)
-        path = places[k] + np.array([0.0, *SHIFT, 1.0])[:, None] * (following[k] - places[k])
-        before = _at(cycle, cycle.start[k][None], places[k], ALL_DOWN, payload_kg)
-        shift = _at(cycle, cycle.goal[k][None], path, ALL_DOWN, payload_kg)
-        for stances, flag in ((before, False), (swing, True), (shift, False)):
-            parts.append(stances)
-            phase += [k] * len(stances.margin)
-            swinging += [flag] * len(stances.margin)
-    return CycleVerdict(
-        phase=np.array(phase), swinging=np.array(swinging), fraction=np.concatenate([p.peak for p in parts]),
-        margin=np.concatenate([p.margin for p in parts]), cps_margin=np.concatenate([p.cps_margin for p in parts]),
-        reaches=np.concatenate([p.reaches for p in parts]),
-    )  # fmt: skip
+    for k in range(kinds.phases):
+        swing = [cycle.swing_axles(k) - at[k] for cycle, at in zip(cycles, places, strict=True)]
+        before = [(cycle.start[k] - at[k])[None] for cycle, at in zip(cycles, places, strict=True)]
+        shift = []
+        for cycle, at, then in zip(cycles, places, following, strict=True):
+            path = at[k] + np.array([0.0, *SHIFT, 1.0])[:, None] * (then[k] - at[k])
+            shift.append(cycle.goal[k][None] - path[:, None])
+        for axles, standing in ((before, ALL_DOWN), (swing, kinds.standing(k)), (shift, ALL_DOWN)):
+            stances = rigid_stances(
+                kinds.spec, np.concatenate(axles), standing=standing, footing=kinds.footing, payload_kg=payload_kg
+            )
+            moments = len(axles[0])
+            phase += [k] * moments
+            swinging += [not standing.all()] * moments
+            parts.append([value.reshape(n, moments, *value.shape[1:]) for value in _values(stances)])
+    fraction, margin, cps_margin, reaches = (np.concatenate(column, axis=1) for column in zip(*parts, strict=True))
+    return [
+        CycleVerdict(
+            phase=np.array(phase), swinging=np.array(swinging), fraction=fraction[i], margin=margin[i], cps_margin=cps_margin[i],
+            reaches=reaches[i],
+        )
+        for i in range(n)
+    ]  # fmt: skip
 
 
-def _at(cycle: GaitCycle, axles: np.ndarray, chassis: np.ndarray, standing: np.ndarray, payload_kg: float) -> Stances:
-    """Stances of axles (m, 6, 3) or one (1, 6, 3), over one chassis (3,) or m of them (m, 3)."""
-    in_hex = axles - np.atleast_2d(chassis)[:, None]
-    return rigid_stances(cycle.spec, in_hex, standing=standing, footing=cycle.footing, payload_kg=payload_kg)
+def _values(stances: Stances) -> tuple[np.ndarray, ...]:
+    return stances.peak, stances.margin, stances.cps_margin, stances.reaches

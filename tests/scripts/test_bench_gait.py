@@ -38,7 +38,8 @@ def test_picture_is_drawn(script, figures, tmp_path):
     ("arguments", "message"),
     [
         (["--robots", "sdm_x"], "sdm_x"),
-        (["--parts", "ears"], "part 'ears' is not one of strides, sway, slopes, twin"),
+        (["--parts", "ears"], "part 'ears' is not one of strides, sway, slopes, steps, twin, strides_twin, slopes_twin, steps_twin"),
+        (["--obstacles", "river"], "obstacle 'river' is not one of ledge, ditch, wall"),
         (["--seed", "-1"], "--seed -1 is negative"),
     ],
 )
@@ -59,3 +60,24 @@ def test_the_twin_walks_a_cycle_of_opposite_pairs_as_planned(script, figures, ro
     assert walked.ended_by == ""
     assert walked.advance == pytest.approx(gaits.stride, rel=0.1)
     assert np.isfinite(walked.torques).all() and walked.peak < 1.0
+
+
+@pytest.mark.slow
+def test_the_twin_climbs_14_degrees_with_the_deck_level_and_slides_less_than_the_paper_saw(script, figures):
+    """[SunSpiral2012] s5.3.4: SDM-B slid by less than 5 cm at times."""
+    twin = script("gait_twin")
+    found = twin.walk_slope(figures.Gaits("sdm_b"), 0, 14.0, "level", twin.SAND, 0.6)
+    assert found.walked.ended_by == "" and found.walked.struck == ()
+    assert found.walked.advance == pytest.approx(0.6, rel=0.15)
+    assert found.walked.peak < 1.0 and found.walked.slip < 0.05
+
+
+@pytest.mark.slow
+def test_the_twin_climbs_onto_a_ledge(script, figures):
+    steps, gaits = script("gait_steps"), figures.Gaits("sdm_b")
+    crossing = steps.planned_crossing(gaits, steps.ledge(0.4))
+    walked = steps.walk_crossing(gaits, "ledge", crossing, 0)
+    assert walked.ended_by == "" and walked.struck == () and walked.steps == len(crossing.steps)
+    # The chassis is higher by the ledge, and no joint saturates.
+    assert walked.poses[-1].translation[2] - crossing.begin.translation[2] > 0.2
+    assert np.nanmax(walked.torques) < 1.0
