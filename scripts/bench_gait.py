@@ -45,7 +45,7 @@ class Options:
     """Measures and prints the rows of each part."""
 
     robots: tuple[str, ...] = ("sdm_b", "t12")
-    parts: tuple[str, ...] = PARTS
+    parts: tuple[str, ...] = ("strides", "sway", "slopes", "twin")
     """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin and steps_twin"""
     obstacles: tuple[str, ...] = ("ledge", "ditch", "wall")
     """of `steps` and `steps_twin`"""

@@ -1,12 +1,12 @@
 """Every leg planner on the frozen set of leg problems: success, time, length before and after smoothing, torque.
 
     python scripts/bench_motion.py [--planners sbl rrtconnect bkpiece lbkpiece bitstar] [--robots sdm_b t12] [--problems N]
-                                   [--log FILE] [--json]
+                                   [--no-torque] [--log FILE] [--json]
 
 500 problems in `assets/leg_problems.npz`, whose hash is checked first: both robots, from free ground to a rock beside the leg,
 each solved by OMPL's RRTConnect when the set was made. All planners have the same budget of state checks and check edges to
 0.01 rad; finished paths are looked at again every 0.002 rad. `--problems` takes so many of each robot, evenly from the set.
-`--log` writes OMPL's benchmark log too, for `ompl_benchmark_statistics`. All of it takes about ten minutes on one core.
+`--log` writes OMPL's benchmark log too, for `ompl_benchmark_statistics`. All of it takes about half an hour on one core.
 """
 
 from __future__ import annotations
@@ -40,6 +40,8 @@ class Options:
     robots: tuple[str, ...] = ROBOTS
     problems: int = 250
     """of each robot"""
+    torque: bool = True
+    """relieve SBL's paths of joint torque too, which takes longest of all"""
     seed: int = 0
     log: Path | None = None
     """OMPL's benchmark log; none is written without it"""
@@ -70,7 +72,7 @@ def main(arguments: list[str] | None = None) -> int:
         def told(method: str) -> None:
             progress.update(task, advance=1, description=method)
 
-        runs = motion_figures.measure(chosen, options.planners, seed=options.seed, told=told)
+        runs = motion_figures.measure(chosen, options.planners, seed=options.seed, torque=options.torque, told=told)
     if options.log is not None:
         write_ompl_log(
             options.log, runs, experiment="leg_problems", setup=f"{len(chosen)} problems of {', '.join(options.robots)}",

@@ -94,13 +94,13 @@ def run(problem: LegProblem, method: str, *, number: int, seed: int, relief: Rel
 
 
 def measure(
-    problems: Sequence[LegProblem], methods: Sequence[str], *, seed: int, told: Callable[[str], None]
+    problems: Sequence[LegProblem], methods: Sequence[str], *, seed: int, torque: bool, told: Callable[[str], None]
 ) -> dict[str, list[Run]]:
-    """All planners on all problems; only SBL's paths are relieved. `told` hears of each run's planner."""
+    """All planners on all problems; only SBL's paths are relieved, if `torque`. `told` hears of each run's planner."""
     runs: dict[str, list[Run]] = {method: [] for method in methods}
     for number, problem in enumerate(problems):
         for method in methods:
-            relief = ReliefConfig() if method == "sbl" else None
+            relief = ReliefConfig() if torque and method == "sbl" else None
             runs[method].append(run(problem, method, number=number, seed=seed, relief=relief))
             told(method)
     return runs
@@ -113,7 +113,8 @@ def rows(runs: dict[str, list[Run]], problems: Sequence[LegProblem]) -> list[Row
     for method, its in runs.items():
         out += _planner_rows(method, its, peer if method != PEER else None)
     if "sbl" in runs:
-        out += _relief_rows(runs["sbl"])
+        if np.isfinite([r.relieved for r in runs["sbl"]]).any():
+            out += _relief_rows(runs["sbl"])
         for robot in dict.fromkeys(p.robot for p in problems):
             own = [r for r, p in zip(runs["sbl"], problems, strict=True) if p.robot == robot]
             out.append(row(f"sbl, {robot}: problems solved", float(np.mean([r.solved for r in own])), "share", target=SOLVED))
