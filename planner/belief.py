@@ -151,9 +151,13 @@ class BeliefFilter:
         return np.asarray(forces - ideal)
 
     def _loads(self, joints: Joints, gravity: Vec3, planted: PerLegFlag) -> PerLeg:
+        """By the contact springs; by rigid balance where these hold no such stance, as when a wheel is believed down too early."""
         solution = self.stance(joints, gravity, planted)
         up = -gravity / GRAVITY
-        return np.asarray(np.maximum(solution.forces @ up, 0.0))
+        if solution.converged:
+            return np.asarray(np.maximum(solution.forces @ up, 0.0))
+        rigid, _ = stance_loads(self._kin, joints, supporting=planted, gravity_in_hex=gravity, payload_kg=self._payload)
+        return np.asarray(np.maximum(rigid @ up, 0.0))
 
     def stance(self, joints: Joints, gravity: Vec3, planted: PerLegFlag) -> SagSolution:
         """The contact-spring solution of a stance whose planted wheels all just touch when unsagged."""

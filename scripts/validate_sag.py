@@ -66,13 +66,18 @@ def best_fit(robot: str, rests: Sequence[Rest]) -> SagFit:
     return replace(fit_with(robot, rests, fit.stiffness), bound=bound)
 
 
+PRESSED = 1e-3
+"""a wheel pressed in by less tells nothing of its tyre [m]"""
+
+
 def stiffest_tyre(robot: str, rests: Sequence[Rest]) -> float:
     """Largest load over pressed-in depth of a wheel in the stances [N/m], as axle heights over level ground at z = 0 tell it."""
     spec = load_spec(robot)
     return max(
         float(np.max(rest.loads[on] * spec.mass * GRAVITY / (spec.wheel.radius - rest.axles[on, 2])))
         for rest in rests
-        for on in (rest.supporting & (rest.loads > 0.0),)
+        for on in (rest.supporting & (rest.loads > 0.0) & (spec.wheel.radius - rest.axles[:, 2] > PRESSED),)
+        if on.any()
     )
 
 

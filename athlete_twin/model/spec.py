@@ -153,6 +153,11 @@ class RobotSpec:
         return len(self.joints)
 
     @property
+    def leg_mass(self) -> float:
+        """Of one leg with its wheel [kg]."""
+        return float(sum(joint.link_mass for joint in self.joints) + self.wheel.mass)
+
+    @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of one leg's joints, hip to ankle."""
         return tuple(j.name for j in self.joints)

@@ -129,12 +129,11 @@ class DockedLiftOff:
 def docked_pieces(kinematics: Kinematics, joints: Joints) -> tuple[Piece, ...]:
     """The pieces of a stance by the drawings; none for a robot without docks."""
     spec = kinematics.spec
-    leg_mass = sum(joint.link_mass for joint in spec.joints) + spec.wheel.mass
     out = []
     for deck in spec.decks:
         coms = [leg_coms_in_hex(spec, leg, joints[leg : leg + 1])[0] for leg in deck.legs]
-        mass = deck.mass + leg_mass * len(deck.legs)
-        com = (deck.mass * deck.part.centre + leg_mass * np.sum(coms, axis=0)) / mass
+        mass = deck.mass + spec.leg_mass * len(deck.legs)
+        com = (deck.mass * deck.part.centre + spec.leg_mass * np.sum(coms, axis=0)) / mass
         out.append(Piece(place_in_hex=deck.dock, axis_in_hex=TWIST, legs=deck.legs, mass=mass, com_in_hex=com))
     return tuple(out)
 

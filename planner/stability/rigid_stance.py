@@ -107,12 +107,11 @@ def rigid_stances(
 
 def coms_in_hex(spec: RobotSpec, angles: np.ndarray, payload_kg: float = 0.0) -> np.ndarray:
     """Centres of mass of n configurations (n, 6, dof) [rad], shape (n, 3) [m]."""
-    leg_mass = sum(j.link_mass for j in spec.joints) + spec.wheel.mass
     moment = spec.body_mass * np.asarray(spec.body_com) + payload_kg * np.array([0.0, 0.0, spec.top_in_hex])
     for deck in spec.decks:
         moment = moment + deck.mass * np.asarray(deck.part.centre)
     legs = sum(leg_coms_in_hex(spec, leg, angles[:, leg]) for leg in range(LEGS))
-    return np.asarray((moment + leg_mass * legs) / (spec.mass + payload_kg))
+    return np.asarray((moment + spec.leg_mass * legs) / (spec.mass + payload_kg))
 
 
 def _plan_axes(up: Vec3) -> np.ndarray:

@@ -156,8 +156,7 @@ def stability_map(
 def com_with_leg(kinematics: Kinematics, joints: Joints, leg: int, q: np.ndarray, payload_kg: float) -> np.ndarray:
     """Centre of mass in hex with one leg in each of n configurations (n, dof), shape (n, 3) [m]."""
     spec = kinematics.spec
-    leg_mass = sum(j.link_mass for j in spec.joints) + spec.wheel.mass
     mass = spec.mass + payload_kg
     now = leg_coms_in_hex(spec, leg, joints[leg : leg + 1])[0]
-    rest = mass * kinematics.com_in_hex(joints, payload_kg) - leg_mass * now
-    return np.asarray((rest + leg_mass * leg_coms_in_hex(spec, leg, q)) / mass)
+    rest = mass * kinematics.com_in_hex(joints, payload_kg) - spec.leg_mass * now
+    return np.asarray((rest + spec.leg_mass * leg_coms_in_hex(spec, leg, q)) / mass)

@@ -1,5 +1,7 @@
 """What the ground believes of the robot, against motions whose truth is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
+from athlete_twin.model.statics import stance_loads
 from planner.belief import BeliefFilter
 from planner.perception.localise import WheelFitConfig
 from planner.sag.sag_model import FootSprings
@@ -94,3 +97,30 @@ def test_the_map_can_move_the_world_under_the_robot():
     after = filtered.update(telemetry(joints))
     moved = after.world_from_hex.translation - before.world_from_hex.translation
     assert moved == pytest.approx([0.02, -0.01, 0.0], abs=1e-3)
+
+
+def test_loads_of_a_stance_that_the_springs_do_not_hold_are_those_of_rigid_balance():
+    """Wheels 1 to 3 alone: the centre of mass lies outside. What the balance has pushing is believed, what it has pulling is not."""
+    spec, filtered = load_spec("sdm_b"), filter_of("sdm_b")
+    joints = regular_stance(spec)
+    filtered.update(telemetry(joints))
+    for leg in (3, 4, 5):
+        filtered.lift(leg)
+    told = telemetry(joints)
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    assert not filtered.stance(joints, gravity, filtered.planted).converged
+    belief = filtered.update(told)
+    rigid, _ = stance_loads(Kinematics(spec), joints, supporting=filtered.planted)
+    assert rigid[:, 2].min() < 0.0
+    np.testing.assert_allclose(belief.loads, np.maximum(rigid[:, 2], 0.0), rtol=0.01, atol=10.0)
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_the_stiffness_of_joints_is_read_from_torques_and_wind_up(robot):
+    spec, filtered = load_spec(robot), filter_of(robot)
+    joints = regular_stance(spec)
+    stiffness = np.linspace(3e4, 1e5, spec.dof)
+    wind_up = np.random.default_rng(0).uniform(-0.02, 0.02, joints.shape)
+    wound = replace(telemetry(joints, torques=wind_up * stiffness), motors=joints + wind_up)
+    np.testing.assert_allclose(filtered.update(wound).joint_stiffness, stiffness, rtol=1e-9)
+    assert np.isinf(filtered.update(telemetry(joints)).joint_stiffness).all()
