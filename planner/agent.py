@@ -42,6 +42,7 @@ from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.recovery import LOWERINGS, Recovery
+from planner.route.guide import Guide, Way, refusals
 from planner.sequence import as_sequence, lower_commands, step_commands, straighten_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
@@ -116,6 +117,11 @@ class GroundAgent:
         self._sequence_id = 0
         self._proposals = 0
         self._recovery = Recovery()
+        self.guide = Guide(
+            spec, self.goal, method=config.route_method, driving=config.driving, config=config.route,
+            headings=config.headings, typical_terrain=config.step.search.typical_terrain,
+        )  # fmt: skip
+        """which way the gait goes, and the route it follows"""
         self._behind = 0.0
         self._surveyed = config.fusion_method == "flat"
         self._levelled = False
@@ -309,22 +315,23 @@ class GroundAgent:
             return self._survey(belief, offset / max(remaining, 1e-9), t)
         if remaining <= self.config.step.gait.arrival_distance and len(in_air) == 0:
             return Arrived(text=f"believed {remaining:.2f} m from the goal")
-        heading = np.asarray(offset / max(remaining, 1e-9))
         with self._timer("footfall"):
             ground = self._ground(belief)
         if self._recovery.retreat is not None and self._attempt is not None:
             return self._retreat(belief, ground, self._attempt, self._recovery.retreat, t)
         if len(in_air) and self._recovery.lowers and self._attempt is not None:
             return self._lower(belief, ground, self._attempt, t)
-        refused: Counter[str] = Counter()
-        reasons = []
-        tries = self._tries(belief, heading, in_air, ground)
+        with self._timer("route"):
+            ways = self.guide.ways(belief, ground)
         forced_xy, self._forced_xy = self._forced_xy, None
-        for leg, cautious in tries:
+        failed: list[tuple[Way, str, Counter[str]]] = []
+        tried = ((way, *one) for way in ways[: 1 if forced_xy is not None else None]
+                 for one in self._tries(belief, way.heading, in_air, ground))  # fmt: skip
+        for way, leg, cautious in tried:
             request = StepRequest(
                 leg=leg,
-                heading=heading,
-                remaining=remaining,
+                heading=way.heading,
+                remaining=way.remaining,
                 behind=self._behind,
                 footfall_xy=forced_xy,
                 refused_xy=self._recovery.refused_xy,
@@ -339,24 +346,24 @@ class GroundAgent:
                 )  # fmt: skip
             if isinstance(found, StepPlan):
                 self._forced_leg = None
+                self.guide.took(way)
                 if self.config.fusion_method == "lift_and_image" and found.lift_in_hex is not None:
                     return self._lift_first(found, belief, ground, t)
                 return self._as_proposal(found, belief, ground, t)
-            refused.update(found.refused)
-            reasons.append(found.reason)
+            failed.append((way, found.reason, Counter(found.refused)))
+        reason, refused = refusals(failed)
         if forced_xy is not None:
             # The operator's place does not work: say so beside the gait's own step.
             self._forced_leg = None
             again = self._propose(t)
             if isinstance(again, Proposal):
-                why = "; ".join(dict.fromkeys(reasons))
-                text = f"{again.text} (not at ({forced_xy[0]:.2f}, {forced_xy[1]:.2f}) m: {why})"
+                text = f"{again.text} (not at ({forced_xy[0]:.2f}, {forced_xy[1]:.2f}) m: {reason})"
                 again = self._proposal = replace(again, text=text)
             return again
         if len(in_air) and self._attempt is not None and self._recovery.lowerings <= LOWERINGS:
             self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
-        return NoStep(reason="; ".join(dict.fromkeys(reasons)), refused=dict(refused))
+        return NoStep(reason=reason, refused=dict(refused))
 
     def _tries(self, belief: Belief, heading: Vec2, in_air: np.ndarray, ground: Ground) -> list[tuple[int, bool]]:
         """Legs to try, first the one whose turn it is, and whether to keep clear of ground that nobody saw.
@@ -540,7 +547,7 @@ class GroundAgent:
         if self.config.fusion_method == "flat":
             return ()
         offset = self.goal - belief.world_from_hex.translation[:2]
-        heading = offset / max(float(np.linalg.norm(offset)), 1e-9)
+        heading = offset / max(float(np.linalg.norm(offset)), 1e-9) if self.guide.heading is None else self.guide.heading
         later = Counter(self.stepped)
         later[plan.leg] += 1
         wave = reverse_wave(self.spec, (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2])
