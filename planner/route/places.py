@@ -150,7 +150,7 @@ class Places:
     def index(self, xy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nearest place of points (..., 2), clipped to the grid."""
         cells = np.rint((np.asarray(xy, dtype=float) - self.origin) / self.cell).astype(np.int64)
-        return np.clip(cells[..., 0], 0, self.shape[0] - 1), np.clip(cells[..., 1], 0, self.shape[1] - 1)
+        return np.asarray(np.clip(cells[..., 0], 0, self.shape[0] - 1)), np.asarray(np.clip(cells[..., 1], 0, self.shape[1] - 1))
 
     def xy(self, ix: np.ndarray, iy: np.ndarray) -> np.ndarray:
         """Coordinates of places, shape (..., 2) [m]."""
@@ -158,7 +158,7 @@ class Places:
 
     def why(self, xy: Vec2) -> str:
         """What refuses the place nearest to a point; "ok" where nothing does."""
-        ix, iy = self.index(xy)
+        ix, iy = (int(i) for i in self.index(xy))
         name = REASONS[int(self.refusal[ix, iy])]
         return f"{name} for leg {int(self.leg[ix, iy]) + 1}" if name == "no_footfall" else name
 

@@ -87,13 +87,13 @@ def find_route(ground: Places, start: Vec2, goal: Vec2) -> Route | NoRoute:
     _check(ground, start=start, goal=goal)
     if float(np.linalg.norm(goal - start)) < 1e-9:
         raise PlanningError(f"the route from {start} to {goal} m has no length: a goal elsewhere would do")
-    (nx, ny), count = ground.shape, ground.walk.size
-    first, last = (int(np.ravel_multi_index(ground.index(p), (nx, ny))) for p in (start, goal))
+    ny, count = ground.shape[1], ground.walk.size
+    first, last = (int(ix) * ny + int(iy) for ix, iy in map(ground.index, (start, goal)))
     if not np.isfinite(ground.walk.ravel()[last]):
         return NoRoute(reason=f"the goal's place is refused: {ground.why(goal)}")
     if not np.isfinite(ground.walk.ravel()[first]):
         return NoRoute(reason=f"the start's place is refused: {ground.why(start)}")
-    distances, before = csgraph.dijkstra(_graph(ground), indices=first, return_predecessors=True)
+    distances, before = csgraph.dijkstra(time_graph(ground), indices=first, return_predecessors=True)
     end = last if distances[last] <= distances[count + last] else count + last
     if not np.isfinite(distances[end]):
         shut = ", ".join(f"{REASONS[k]}: {int(n)}" for k, n in enumerate(np.bincount(ground.refusal.ravel())) if k and n)
@@ -114,8 +114,8 @@ def _check(ground: Places, **points: np.ndarray) -> None:
             raise PlanningError(f"the route's {name} {point} m is off the places from {ground.origin} to {far} m")
 
 
-def _graph(ground: Places) -> sparse.csr_array:
-    """Seconds of every edge: walking nodes first, then driving nodes."""
+def time_graph(ground: Places) -> sparse.csr_array:
+    """Seconds of every edge: walking nodes first, then driving nodes, both in C order; starting a drive leads from one to the other."""
     (nx, ny), count = ground.shape, ground.walk.size
     number = np.arange(count).reshape(nx, ny)
     rows, columns, seconds = [], [], []
