@@ -42,6 +42,7 @@ from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.recovery import LOWERINGS, Recovery
+from planner.route.guide import Guide, Way, refusals
 from planner.sequence import as_sequence, lower_commands, step_commands, straighten_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
@@ -116,6 +117,11 @@ class GroundAgent:
         self._sequence_id = 0
         self._proposals = 0
         self._recovery = Recovery()
+        self.guide = Guide(
+            spec, self.goal, method=config.route_method, config=config.route,
+            headings=config.headings, typical_terrain=config.step.search.typical_terrain,
+        )  # fmt: skip
+        """which way the gait goes, and the route it follows"""
         self._behind = 0.0
         self._surveyed = config.fusion_method == "flat"
         self._levelled = False
@@ -311,33 +317,33 @@ class GroundAgent:
             return self._survey(belief, offset / max(remaining, 1e-9), t)
         if remaining <= self.config.step.gait.arrival_distance and len(in_air) == 0:
             return Arrived(text=f"believed {remaining:.2f} m from the goal")
-        heading = np.asarray(offset / max(remaining, 1e-9))
         with self._timer("footfall"):
             ground = self._ground(belief)
         if self._recovery.retreat is not None and self._attempt is not None:
             return self._retreat(belief, ground, self._attempt, self._recovery.retreat, t)
         if len(in_air) and self._recovery.lowers and self._attempt is not None:
             return self._lower(belief, ground, self._attempt, t)
-        refused: Counter[str] = Counter()
-        hidden: Counter[int] = Counter()
-        reasons, looked = [], False
-        tries = self._tries(belief, heading, in_air, ground)
+        with self._timer("route"):
+            ways = self.guide.ways(belief, ground)
         forced_xy, self._forced_xy = self._forced_xy, None
-        for leg, cautious, wide, due in tries:
+        failed: list[tuple[Way, str, Counter[str]]] = []
+        hidden: Counter[int] = Counter()
+        looked = len(in_air) > 0
+        for way, leg, cautious, wide, due in self._tries(belief, ways[: 1 if forced_xy is not None else None], in_air, ground):
             if not due and not looked:
                 looked = True
-                look = self._look_beneath(belief, ground, heading, remaining, hidden, t)
+                look = self._look_beneath(belief, ground, ways[0], hidden, t)
                 if look is not None:
                     return look
             request = StepRequest(
                 leg=leg,
-                heading=heading,
-                remaining=remaining,
+                heading=way.heading,
+                remaining=way.remaining,
                 behind=self._behind,
                 footfall_xy=forced_xy,
                 refused_xy=self._recovery.refused_xy,
                 extra_lift=self._recovery.extra_lift,
-                next_leg=self._upcoming(belief, heading, leg)[0],
+                next_leg=self._upcoming(belief, way.heading, leg)[0],
                 cautious=cautious,
                 wide=wide,
             )
@@ -349,33 +355,28 @@ class GroundAgent:
                 )  # fmt: skip
             if isinstance(found, StepPlan):
                 self._forced_leg = None
+                self.guide.took(way)
                 if self.config.fusion_method == "lift_and_image" and found.lift_in_hex is not None:
                     return self._lift_first(found, belief, ground, t)
                 return self._as_proposal(found, belief, ground, t)
-            refused.update(found.refused)
             hidden[leg] += found.refused.get("unknown", 0) if self.config.fusion_method != "flat" else 0
-            reasons.append(found.reason)
+            failed.append((way, found.reason, Counter(found.refused)))
+        reason, refused = refusals(failed)
         if forced_xy is not None:
             # The operator's place does not work: say so beside the gait's own step.
             self._forced_leg = None
             again = self._propose(t)
             if isinstance(again, Proposal):
-                why = "; ".join(dict.fromkeys(reasons))
-                text = f"{again.text} (not at ({forced_xy[0]:.2f}, {forced_xy[1]:.2f}) m: {why})"
+                text = f"{again.text} (not at ({forced_xy[0]:.2f}, {forced_xy[1]:.2f}) m: {reason})"
                 again = self._proposal = replace(again, text=text)
             return again
         if len(in_air) and self._attempt is not None and self._recovery.lowerings <= LOWERINGS:
             self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
-        if not len(in_air) and not looked:
-            look = self._look_beneath(belief, ground, heading, remaining, hidden, t)
-            if look is not None:
-                return look
-        return NoStep(reason="; ".join(dict.fromkeys(reasons)), refused=dict(refused))
+        look = None if looked else self._look_beneath(belief, ground, ways[0], hidden, t)
+        return NoStep(reason=reason, refused=dict(refused)) if look is None else look
 
-    def _look_beneath(
-        self, belief: Belief, ground: Ground, heading: Vec2, remaining: float, hidden: Counter[int], t: float
-    ) -> Action | None:
+    def _look_beneath(self, belief: Belief, ground: Ground, way: Way, hidden: Counter[int], t: float) -> Action | None:
         """No leg that is due finds a step, some for want of seen ground, which a standing leg may hide: it is lifted for pictures.
 
         Each leg once where it stands: what it does not show then, no lift shows.
@@ -387,7 +388,7 @@ class GroundAgent:
             looked = self._looked.get(leg)
             if looked is not None and np.linalg.norm(place - looked) < self.config.step.gait.min_step:
                 continue
-            request = StepRequest(leg=leg, heading=heading, remaining=remaining, on_the_spot=True)
+            request = StepRequest(leg=leg, heading=way.heading, remaining=way.remaining, on_the_spot=True)
             self._ground_s += SECONDS_PER_PLAN
             with self._timer("plan"):
                 found = search_step(
@@ -399,21 +400,29 @@ class GroundAgent:
         return None
 
     def _tries(
-        self, belief: Belief, heading: Vec2, in_air: np.ndarray, ground: Ground
-    ) -> list[tuple[int, bool, bool, bool]]:
-        """What to try in turn: the leg; whether to keep clear of ground that nobody saw; whether to look farther; whether it is due.
+        self, belief: Belief, ways: list[Way], in_air: np.ndarray, ground: Ground
+    ) -> list[tuple[Way, int, bool, bool, bool]]:
+        """What to try in turn: the way, the leg, whether to keep clear of ground that nobody saw, to look farther; whether it is due.
 
-        Of the legs whose turn it is all are tried with caution, then farther from the gait's place, then both without caution,
-        and only then others.
+        On the first way, of the legs whose turn it is all are tried with caution, then farther from the gait's place, then both
+        without caution, and only then others. Aside from it the legs whose turn it is are tried, near the gait's place.
         """
-        groups = self._order(belief, heading, in_air)
         both = (True, False) if ground.cautious is not ground.filled else (False,)
+        first, aside = ways[0], ways[1:]
         return [
-            (leg, cautious, wide, n == 0)
-            for n, group in enumerate(groups)
-            for cautious in both
-            for wide in (False, True)
-            for leg in group
+            *(
+                (first, leg, cautious, wide, n == 0)
+                for n, group in enumerate(self._order(belief, first.heading, in_air))
+                for cautious in both
+                for wide in (False, True)
+                for leg in group
+            ),
+            *(
+                (way, leg, cautious, False, False)
+                for way in aside
+                for cautious in both
+                for leg in self._order(belief, way.heading, in_air)[0]
+            ),
         ]
 
     def _order(self, belief: Belief, heading: Vec2, in_air: np.ndarray) -> list[list[int]]:
@@ -591,7 +600,7 @@ class GroundAgent:
         if self.config.fusion_method == "flat":
             return ()
         offset = self.goal - belief.world_from_hex.translation[:2]
-        heading = offset / max(float(np.linalg.norm(offset)), 1e-9)
+        heading = offset / max(float(np.linalg.norm(offset)), 1e-9) if self.guide.heading is None else self.guide.heading
         upcoming = self._upcoming(belief, heading, plan.leg)[:3]
         places = regular_places(self.spec, belief.world_from_hex) + 0.5 * stride(self.spec, self.config.step.gait) * heading
         names: dict[str, None] = {}

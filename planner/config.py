@@ -19,6 +19,10 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
     unknown_terrain = "refuse"      # refuse, flat (an unknown cell is as high as its neighbours)
     level_deck_deg = 0.5
 
+A variant may also say, and need not:
+
+    route = "straight"              # straight (towards the goal), map (round what the map refuses)
+
 and a table `[settings.STAGE]` sets fields of that stage's configuration, such as `[settings.footfall] max_slope_deg = 15`.
 """
 
@@ -27,7 +31,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -55,6 +59,9 @@ from planner.perception.self_clearance import SelfClearanceConfig
 from planner.perception.self_mask import METHODS as SELF_MASKS
 from planner.perception.self_mask import SelfMaskConfig
 from planner.perception.stereo import StereoConfig
+from planner.route.guide import METHODS as ROUTES
+from planner.route.guide import HeadingConfig
+from planner.route.places import RouteConfig
 from planner.sag.compensate import SagConfig
 from planner.stability.margin import MARGINS
 from planner.stability.stability_map import StabilityConfig
@@ -75,6 +82,8 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "touchdown": ("guarded",),
     "unknown_terrain": ("refuse", "flat"),
 }
+OPTIONAL: dict[str, tuple[str, ...]] = {"route": ROUTES}
+"""choices that a variant may leave out: the first is taken then"""
 ALIASES = {"over_time": "integrated"}
 """older names of methods"""
 SETTINGS: dict[str, type] = {
@@ -99,6 +108,8 @@ SETTINGS: dict[str, type] = {
     "shift": ShiftLimits,
     "survey": SurveyConfig,
     "look": LookConfig,
+    "route": RouteConfig,
+    "headings": HeadingConfig,
 }
 
 
@@ -129,6 +140,9 @@ class PlannerConfig:
     survey: SurveyConfig
     look: LookConfig
     step: StepConfig
+    route_method: str = "straight"
+    route: RouteConfig = field(default_factory=RouteConfig)
+    headings: HeadingConfig = field(default_factory=HeadingConfig)
 
 
 def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) -> PlannerConfig:
@@ -139,17 +153,18 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         spec: the drawings of the robot, which give the stability rule its margin.
         name: what to call the variant in errors and results, such as its file's name.
     """
-    known = (*CHOICES, "level_deck_deg", "settings")
+    known = (*CHOICES, *OPTIONAL, "level_deck_deg", "settings")
     for key in content:
         if key not in known:
             raise ConfigError(f"variant {name}: key {key!r} is not known; {_meant(key, known)}")
     chosen = {}
-    for key, options in CHOICES.items():
-        if key not in content:
+    for key, options in (CHOICES | OPTIONAL).items():
+        if key not in content and key not in OPTIONAL:
             raise ConfigError(f"variant {name}: key {key!r} is missing; choose one of {', '.join(options)}")
-        if content[key] not in options:
-            raise ConfigError(f"variant {name}: {key} = {content[key]!r} is not one of {', '.join(options)}")
-        chosen[key] = ALIASES.get(str(content[key]), str(content[key]))
+        value = content.get(key, options[0])
+        if value not in options:
+            raise ConfigError(f"variant {name}: {key} = {value!r} is not one of {', '.join(options)}")
+        chosen[key] = ALIASES.get(str(value), str(value))
     level = content.get("level_deck_deg", 0.0)
     if not isinstance(level, int | float) or not np.isfinite(level) or not 0.0 <= level <= 20.0:
         raise ConfigError(f"variant {name}: level_deck_deg = {level!r} is not a number from 0 to 20")
@@ -200,6 +215,9 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
             leg_planner=chosen["leg_planner"],
             shift=made["shift"],
         ),
+        route_method=chosen["route"],
+        route=made["route"],
+        headings=made["headings"],
     )
 
 

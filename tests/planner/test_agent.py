@@ -137,4 +137,4 @@ def test_a_leg_that_hides_the_ground_it_needs_is_lifted_to_look_once_where_it_st
         assert lift.guard == "break_contact" and isinstance(pictures, ImageRequest) and pictures.cameras
         agent._sent = None  # as if it had come down again, and nothing been seen
     none = agent.next(1.0)
-    assert isinstance(none, NoStep) and none.reason == "hidden"
+    assert isinstance(none, NoStep) and none.reason.startswith("hidden")
