@@ -65,9 +65,7 @@ def test_the_step_is_taken_on_the_nearest_heading_that_gives_one(agent, monkeypa
     action = agent.next(1.0)
     assert isinstance(action, Proposal)
     assert list(dict.fromkeys(asked)) == [0, 20, -20, 40]
-    shift = action.preview_world_from_hex[-1]
     assert agent.decide(Decision(kind="approve"), 1.0).commands
-    assert shift is not None
 
 
 def test_when_no_heading_gives_a_step_each_is_named_with_what_refused_it(agent, monkeypatch):
@@ -78,7 +76,8 @@ def test_when_no_heading_gives_a_step_each_is_named_with_what_refused_it(agent, 
     action = agent.next(1.0)
     assert isinstance(action, NoStep)
     for angle in ASIDE:
-        assert f"{angle:+.0f} deg: leg 1 may not; leg 2 may not; " in action.reason
+        assert f"{angle:+.0f} deg: leg " in action.reason
+    assert all(action.reason.count(f"leg {leg} may not") == len(ASIDE) for leg in range(1, 7))
     assert action.refused == {"test": 2 * 6 * len(ASIDE)}
 
 
@@ -101,7 +100,7 @@ def test_turned_turns_to_the_left_and_directions_without_length_are_refused():
     "settings, message",
     [
         ({"aside_deg": (0.0,)}, r"aside_deg is \(0.0,\), need angles above 0"),
-        ({"aside_deg": tuple(range(1, 9))}, "aside_deg has 8 angles, at most 6"),
+        ({"aside_deg": tuple(float(a) for a in range(1, 9))}, "aside_deg has 8 angles, at most 6"),
         ({"steps_aside": 0}, "steps_aside is 0, must be at least 1"),
     ],
 )

@@ -130,7 +130,7 @@ def test_a_slope_too_steep_for_wheels_is_walked_and_steeper_ones_are_refused(spe
 def test_wrong_input_is_refused_with_the_value_and_the_limit(spec):
     with pytest.raises(PlanningError, match=r"the route's goal is \[nan  0\.\], need two finite lengths"):
         over(spec, flat()[2], goal=(np.nan, 0.0))
-    with pytest.raises(PlanningError, match="a route of 300 m asks for 1556 x 81 places of 0.2 m, allowed 100000"):
+    with pytest.raises(PlanningError, match=r"a route of 300 m asks for 1556 x 81 places of 0\.2 m, allowed 100000"):
         over(spec, flat()[2], goal=(300.0, 0.0), max_places=100_000)
 
 

@@ -139,5 +139,5 @@ def test_ways_that_are_not_finite_have_no_length_or_leave_the_grid_are_refused_b
 
 
 def test_paces_that_are_not_positive_are_refused():
-    with pytest.raises(PlanningError, match="walk has a pace of 0.0"):
+    with pytest.raises(PlanningError, match=r"walk has a pace of 0\.0"):
         grid(np.zeros((4, 4)))
