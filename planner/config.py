@@ -59,6 +59,7 @@ from planner.perception.self_clearance import SelfClearanceConfig
 from planner.perception.self_mask import METHODS as SELF_MASKS
 from planner.perception.self_mask import SelfMaskConfig
 from planner.perception.stereo import StereoConfig
+from planner.route.drive import DriveConfig
 from planner.route.guide import METHODS as ROUTES
 from planner.route.guide import HeadingConfig
 from planner.route.places import RouteConfig
@@ -109,6 +110,7 @@ SETTINGS: dict[str, type] = {
     "look": LookConfig,
     "route": RouteConfig,
     "headings": HeadingConfig,
+    "drive": DriveConfig,
 }
 
 
@@ -143,6 +145,7 @@ class PlannerConfig:
     driving: bool = False
     route: RouteConfig = field(default_factory=RouteConfig)
     headings: HeadingConfig = field(default_factory=HeadingConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
 
 
 def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) -> PlannerConfig:
@@ -220,6 +223,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         driving=chosen["driving"] == "on",
         route=made["route"],
         headings=made["headings"],
+        drive=made["drive"],
     )
 
 
