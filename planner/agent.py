@@ -188,6 +188,8 @@ class GroundAgent:
             if sent.fault is None and len(sent.pairs) < sent.pairs_awaited:
                 return Waiting(reason=f"pictures: {len(sent.pairs)} of {sent.pairs_awaited}")
             self._digest(sent)
+            if self._stopped:
+                return NoStep(reason=self._stopped)
         if self._proposal is not None:
             return self._proposal
         return self._propose(t)
