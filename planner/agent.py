@@ -42,6 +42,7 @@ from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.recovery import LOWERINGS, Recovery
+from planner.route.drive import DrivePlan, plan_drive
 from planner.route.guide import Guide, Way, refusals
 from planner.sequence import as_sequence, lower_commands, step_commands, straighten_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
@@ -72,6 +73,7 @@ class _Sent:
     pairs_awaited: int
     lift: StepPlan | None = None
     """the step of which only the lift-off was sent, to see what its leg hid"""
+    drive: DrivePlan | None = None
     pairs: list[StereoPair] = field(default_factory=list)
     heard: bool = False
     """whether any receipt for it has come down"""
@@ -112,13 +114,16 @@ class GroundAgent:
         self._proposal: Proposal | None = None
         self._plan: StepPlan | None = None
         self._lift: StepPlan | None = None
+        self._drive: DrivePlan | None = None
+        self._walks = not config.driving
+        """until the next step is done: the operator refused to drive"""
         self._attempt: StepPlan | None = None
         self._ground_s = 0.0
         self._sequence_id = 0
         self._proposals = 0
         self._recovery = Recovery()
         self.guide = Guide(
-            spec, self.goal, method=config.route_method, config=config.route,
+            spec, self.goal, method=config.route_method, driving=config.driving, config=config.route,
             headings=config.headings, typical_terrain=config.step.search.typical_terrain,
         )  # fmt: skip
         """which way the gait goes, and the route it follows"""
@@ -185,6 +190,8 @@ class GroundAgent:
             if sent.fault is None and len(sent.pairs) < sent.pairs_awaited:
                 return Waiting(reason=f"pictures: {len(sent.pairs)} of {sent.pairs_awaited}")
             self._digest(sent)
+            if self._stopped:
+                return NoStep(reason=self._stopped)
         if self._proposal is not None:
             return self._proposal
         return self._propose(t)
@@ -197,18 +204,21 @@ class GroundAgent:
         if decision.kind == "wait":
             return None
         lift, self._lift = self._lift, None
+        drive, self._drive = self._drive, None
         self._proposal, self._plan = None, None
         if decision.kind == "approve":
-            return self._send(replace(proposal.sequence, t=t), plan, lift=lift)
+            return self._send(replace(proposal.sequence, t=t), plan, lift=lift, drive=drive)
         if decision.kind == "reject":
             refused = plan or lift
-            if refused is None:
+            if drive is not None:
+                self._walks = True
+            elif refused is None:
                 self._surveyed, self._recovery.retreat = True, None
             else:
                 self._recovery.refuse(refused)
         elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
             if plan is None:  # a look around, a lift-off or a way back has no footfall: the proposal comes again
-                self._proposal, self._lift = proposal, lift
+                self._proposal, self._lift, self._drive = proposal, lift, drive
                 return None
             self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
             self._forced_leg = plan.leg
@@ -228,6 +238,10 @@ class GroundAgent:
         if self._sent is None:
             return
         plan, commands = self._sent.plan or self._sent.lift, self._sent.sequence.commands
+        drive = self._sent.drive
+        if drive is not None and commands[index] is drive.command:
+            self._filter.rolled(drive.contacts_in_world)
+            self.eyes.filter.drove(float(np.linalg.norm(drive.way)))
         if plan is None:
             return
         command = commands[index]
@@ -248,6 +262,7 @@ class GroundAgent:
             self.steps_taken += 1
             self.stepped[sent.plan.leg] += 1
             self.last_plan = sent.plan
+            self._walks = not self.config.driving
             regular = stride(self.spec, self.config.step.gait) / LEGS
             advance = float(np.linalg.norm(sent.plan.shift.translation_in_hex[:2]))
             self._behind = max(0.0, self._behind + regular - advance)
@@ -280,6 +295,10 @@ class GroundAgent:
         self._belief = self._filter.update(telemetry)
 
     def _faulted(self, sent: _Sent, fault: Fault) -> None:
+        if sent.drive is not None and fault.command_index <= 0:
+            # Telemetry holds no wheel angles: how far it rolled nobody knows.
+            self._stopped = f"a drive broke off, where the robot stands is not known: {fault.text}"
+            return
         plan = sent.plan or sent.lift
         if plan is None or self._telemetry is None:
             self._surveyed = True
@@ -326,6 +345,13 @@ class GroundAgent:
         with self._timer("route"):
             ways = self.guide.ways(belief, ground)
         forced_xy, self._forced_xy = self._forced_xy, None
+        if not self._walks and self._forced_leg is None:
+            drive = plan_drive(
+                self.kin, self.springs, belief, ground, self.guide.route, route_config=self.config.route,
+                config=self.config.drive, step=self.config.step, payload_kg=self._payload,
+            )  # fmt: skip
+            if isinstance(drive, DrivePlan):
+                return self._roll(drive, belief, ground, t)
         failed: list[tuple[Way, str, Counter[str]]] = []
         hidden: Counter[int] = Counter()
         looked = len(in_air) > 0
@@ -506,6 +532,26 @@ class GroundAgent:
         )  # fmt: skip
         return self._proposal
 
+    def _roll(self, drive: DrivePlan, belief: Belief, ground: Ground, t: float) -> Action:
+        """A stretch on wheels, and pictures all round at its end: they say where it led."""
+        self._ground_s += SECONDS_PER_PLAN
+        everything = () if self.config.fusion_method == "flat" else tuple(c.name for c in self.spec.cameras if c.on_chassis)
+        x, y = belief.world_from_hex.translation[:2] + drive.way
+        cut = f" (cut: {drive.cut_by})" if drive.cut_by else ""
+        self._drive = drive
+        self._proposal = Proposal(
+            index=self._next_proposal(), t=t, kind="shift", leg=-1,
+            footfall_in_world=drive.world_from_hex[-1].translation.copy(),
+            sequence=self._as_sequence([drive.command], t, cameras=everything),
+            preview_joints=np.repeat(belief.joints[None], len(drive.world_from_hex), axis=0),
+            preview_world_from_hex=drive.world_from_hex,
+            terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
+            cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
+            world_from_hex=belief.world_from_hex, predicted_margin=drive.margin, predicted_sag=drive.uneven,
+            text=f"drives {float(np.linalg.norm(drive.way)):.1f} m to ({x:.2f}, {y:.2f}) m on its wheels, then pictures{cut}",
+        )  # fmt: skip
+        return self._proposal
+
     def _lower(self, belief: Belief, ground: Ground, plan: StepPlan, t: float) -> Action:
         """The wheel found no ground where the map had some: further down at the same place."""
         axle = self.kin.leg_wheel(plan.leg, belief.motors[plan.leg]).translation
@@ -629,10 +675,10 @@ class GroundAgent:
         return sequence
 
     def _send(
-        self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None
+        self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None, drive: DrivePlan | None = None
     ) -> CommandSequence:
         awaited = sum(len(c.cameras) * len(c.brackets) for c in sequence.commands if isinstance(c, ImageRequest))
-        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift)
+        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive)
         if plan is not None or lift is not None:
             self._attempt = plan or lift
         if any(isinstance(c, JointMove) for c in sequence.commands):

@@ -80,6 +80,10 @@ class BeliefFilter:
             if self._contacts is not None:
                 self._contacts[leg] = np.nan
 
+    def rolled(self, contacts_in_world: Wheels) -> None:
+        """The robot drove, its posture kept: every wheel stands elsewhere, as commanded [m]."""
+        self._contacts = np.array(contacts_in_world, dtype=float)
+
     def settle(self, by: float, *, sigma: float) -> float:
         """Pictures say that the wheels stand so much deeper than believed; by how much they now are believed to [m].
 

@@ -22,6 +22,7 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
 A variant may also say, and need not:
 
     route = "straight"              # straight (towards the goal), map (round what the map refuses)
+    driving = "off"                 # off, on (on the wheels where a route over the map says so)
 
 and a table `[settings.STAGE]` sets fields of that stage's configuration, such as `[settings.footfall] max_slope_deg = 15`.
 """
@@ -59,6 +60,7 @@ from planner.perception.self_clearance import SelfClearanceConfig
 from planner.perception.self_mask import METHODS as SELF_MASKS
 from planner.perception.self_mask import SelfMaskConfig
 from planner.perception.stereo import StereoConfig
+from planner.route.drive import DriveConfig
 from planner.route.guide import METHODS as ROUTES
 from planner.route.guide import HeadingConfig
 from planner.route.places import RouteConfig
@@ -82,7 +84,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "touchdown": ("guarded",),
     "unknown_terrain": ("refuse", "flat"),
 }
-OPTIONAL: dict[str, tuple[str, ...]] = {"route": ROUTES}
+OPTIONAL: dict[str, tuple[str, ...]] = {"route": ROUTES, "driving": ("off", "on")}
 """choices that a variant may leave out: the first is taken then"""
 ALIASES = {"over_time": "integrated"}
 """older names of methods"""
@@ -110,6 +112,7 @@ SETTINGS: dict[str, type] = {
     "look": LookConfig,
     "route": RouteConfig,
     "headings": HeadingConfig,
+    "drive": DriveConfig,
 }
 
 
@@ -141,8 +144,10 @@ class PlannerConfig:
     look: LookConfig
     step: StepConfig
     route_method: str = "straight"
+    driving: bool = False
     route: RouteConfig = field(default_factory=RouteConfig)
     headings: HeadingConfig = field(default_factory=HeadingConfig)
+    drive: DriveConfig = field(default_factory=DriveConfig)
 
 
 def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) -> PlannerConfig:
@@ -165,6 +170,8 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         if value not in options:
             raise ConfigError(f"variant {name}: {key} = {value!r} is not one of {', '.join(options)}")
         chosen[key] = ALIASES.get(str(value), str(value))
+    if chosen["driving"] == "on" and chosen["route"] != "map":
+        raise ConfigError(f"variant {name}: driving = 'on' needs route = 'map': only a route says where it is smooth enough")
     level = content.get("level_deck_deg", 0.0)
     if not isinstance(level, int | float) or not np.isfinite(level) or not 0.0 <= level <= 20.0:
         raise ConfigError(f"variant {name}: level_deck_deg = {level!r} is not a number from 0 to 20")
@@ -216,8 +223,10 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
             shift=made["shift"],
         ),
         route_method=chosen["route"],
+        driving=chosen["driving"] == "on",
         route=made["route"],
         headings=made["headings"],
+        drive=made["drive"],
     )
 
 

@@ -45,11 +45,15 @@ class PoseFilterConfig:
     """one sigma after a slip [m]"""
     slip_turn: float = 0.02
     """[rad]"""
+    drive_shift: float = 0.03
+    """one sigma after a metre on wheels, which roll and creep other than commanded; the twin's: see README [m]"""
+    drive_turn: float = 0.005
+    """of its yaw [rad]"""
     gate: float = 0.999
     """share of honest alignments that pass the gate"""
 
     def __post_init__(self) -> None:
-        for name in ("wheel_sigma", "tilt_sigma", "mount_shift", "mount_turn", "slip_shift", "slip_turn"):
+        for name in ("wheel_sigma", "tilt_sigma", "mount_shift", "mount_turn", "slip_shift", "slip_turn", "drive_shift", "drive_turn"):
             if not getattr(self, name) > 0.0:
                 raise ConfigError(f"{name} is {getattr(self, name)}, must be positive")
         if not 0.5 <= self.gate < 1.0:
@@ -89,6 +93,11 @@ class PoseFilter:
             information += jacobian.T @ jacobian / sigma**2
         self._filter.x = np.zeros((6, 1))
         self._filter.predict(F=np.eye(6), Q=np.linalg.inv(information + 1e-9 * np.eye(6)))
+
+    def drove(self, length: float) -> None:
+        """The robot drove so far [m]: place and yaw are as sure as its wheels roll."""
+        c = self._config
+        self._filter.P = self._filter.P + np.diag([0.0, 0.0, (length * c.drive_turn) ** 2] + [(length * c.drive_shift) ** 2] * 3)
 
     def attitude(self, believed: SE3, measured_rpy: Vec3) -> None:
         """Take in the measured roll and pitch; the yaw drifts and is ignored [rad]."""

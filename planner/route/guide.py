@@ -56,11 +56,12 @@ class Guide:
     """The route as it is now, and the turn aside that the last step took."""
 
     def __init__(
-        self, spec: RobotSpec, goal: Vec2, *, method: str, config: RouteConfig, headings: HeadingConfig, typical_terrain: float
-    ) -> None:
+        self, spec: RobotSpec, goal: Vec2, *, method: str, driving: bool, config: RouteConfig, headings: HeadingConfig,
+        typical_terrain: float,
+    ) -> None:  # fmt: skip
         if method not in METHODS:
             raise ConfigError(f"route {method!r} is not one of {', '.join(METHODS)}")
-        self._spec, self._goal, self._method = spec, goal, method
+        self._spec, self._goal, self._method, self._driving = spec, goal, method, driving
         self._config, self._headings, self._typical = config, headings, typical_terrain
         self._aside, self._steps_left = 0.0, 0
         self.heading: Vec2 | None = None
@@ -102,7 +103,7 @@ class Guide:
         try:
             grid = places(
                 self._spec, ground.heights, ground.filled, ground.footfalls, belief.world_from_hex, goal=self._goal,
-                config=self._config, typical_terrain=self._typical, driving=False,
+                config=self._config, typical_terrain=self._typical, driving=self._driving,
             )  # fmt: skip
             return find_route(grid, here, self._goal)
         except PlanningError as e:
