@@ -41,11 +41,11 @@ class ReliefConfig:
     """length over that of the path given"""
     layers: int = 5
     """of nodes between the ends"""
-    kicks: int = 24
+    kicks: int = 40
     """neighbours of each node, of each of three kinds"""
     spread: float = 0.35
     """of the kicks in the first round; half of it in each that follows [rad]"""
-    rounds: int = 8
+    rounds: int = 12
     min_gain: float = 0.005
     """of the torque over its limit in one round below which the rounds end"""
     edge_points: int = 5
@@ -54,7 +54,7 @@ class ReliefConfig:
     """of the bound on the torque"""
     resolution: float = 0.002
     """of edge checks [rad]: nothing looks at the path after"""
-    max_cuts: int = 200
+    max_cuts: int = 300
     """colliding ways looked at in one round before what is found so far is taken"""
 
     def __post_init__(self) -> None:
