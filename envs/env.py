@@ -6,6 +6,7 @@ truth; the observation never does.
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import gymnasium as gym
@@ -16,15 +17,15 @@ from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
 from athlete_twin.messages import CommandSequence, Stop
 from athlete_twin.model.spec import RobotSpec, load_spec
-from athlete_twin.robot import SimulatedRobot
+from athlete_twin.robot import SimulatedRobot, TruthView
 from athlete_twin.world.scenario import Scenario, load_scenario
+from envs.action_fields import Action, one_of
 from envs.build import check_unbroken, mock, twin
 from envs.mission import Mission
-from envs.rewards import RewardConfig, StepTruth, reward
+from envs.rewards import RewardConfig, StepTruth, reward_terms
 from envs.scoring import ARRIVED, LOADED, TIPPED, tilt
 from envs.spaces import (
     KINDS,
-    Action,
     DownlinkView,
     Observation,
     chosen_cameras,
@@ -46,6 +47,20 @@ def link_pair(link: float | tuple[LinkConfig, LinkConfig] | None) -> tuple[LinkC
         return link
     delay = DEFAULT_DELAY if link is None else float(link)
     return uplink(delay), downlink(delay)
+
+
+@dataclass(kw_only=True)
+class Score:
+    """What the truth said after the last step."""
+
+    distance: float = 0.0
+    """to the goal [m]"""
+    collisions: int = 0
+    """so far"""
+    tipped: bool = False
+    at_goal: bool = False
+    terms: dict[str, float] = field(default_factory=dict)
+    """of the last step's reward"""
 
 
 class MissionEnv(gym.Env[Observation, Action]):
@@ -89,9 +104,7 @@ class MissionEnv(gym.Env[Observation, Action]):
         self._robot: SimulatedRobot | None = None
         self._mission: Mission | None = None
         self._grid: HeightGrid | None = None
-        self._tipped = False
-        self._distance = 0.0
-        self._collisions = 0
+        self._score = Score()
 
     @property
     def mission(self) -> Mission:
@@ -132,8 +145,9 @@ class MissionEnv(gym.Env[Observation, Action]):
             agent=self._agent(trial_seed),
             on_truth=lambda truth: self._watch(tilt(truth.world_from_hex)),
         )
-        self._tipped, self._collisions = False, 0
-        self._distance = self._goal_distance()
+        self._score = Score(
+            distance=self._distance_of(self._robot.truth()), terms=reward_terms(StepTruth(), self._rewards)
+        )
         return trial_seed
 
     def _agent(self, seed: int) -> GroundAgent | None:
@@ -146,41 +160,91 @@ class MissionEnv(gym.Env[Observation, Action]):
         return True
 
     def _watch(self, angle: float) -> None:
-        self._tipped |= angle > TIPPED
-
-    def _goal_distance(self) -> float:
-        at = self.mission.robot.truth().world_from_hex.translation[:2]
-        return float(np.linalg.norm(at - np.array(self.goal)))
+        self._score.tipped |= angle > TIPPED
 
     def _judged(self, begun: float) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, terminated, truncated and info of a step that began at mission time `begun` [s]."""
         mission = self.mission
         truth = mission.robot.truth()
-        distance, collisions = self._goal_distance(), len(mission.robot.collisions)
+        distance, collisions = self._distance_of(truth), len(mission.robot.collisions)
+        tipped = self._score.tipped
         self._watch(tilt(truth.world_from_hex))
         stands = not mission.robot.busy and bool((truth.wheel_loads > LOADED).all())
         at_goal = distance <= ARRIVED and stands and self._declared()
         step = StepTruth(
-            nearer=self._distance - distance,
-            collisions=collisions - self._collisions,
+            nearer=self._score.distance - distance,
+            collisions=collisions - self._score.collisions,
             seconds=mission.t - begun,
-            tipped=self._tipped,
-            at_goal=at_goal,
+            tips=self._score.tipped and not tipped,
+            arrives=at_goal and not self._score.at_goal,
         )
-        self._distance, self._collisions = distance, collisions
-        info = self._info() | {"tip_over": self._tipped, "at_goal": at_goal, "collisions": collisions}
-        return reward(step, self._rewards), self._tipped or at_goal, mission.t >= self.time_limit, info
+        self._score.distance, self._score.collisions, self._score.at_goal = distance, collisions, at_goal
+        self._score.terms = reward_terms(step, self._rewards)
+        value = sum(self._score.terms.values())
+        return value, self._score.tipped or at_goal, mission.t >= self.time_limit, self._info()
+
+    def _distance_of(self, truth: TruthView) -> float:
+        return float(np.hypot(*(truth.world_from_hex.translation[:2] - self.goal)))
 
     def _info(self) -> dict[str, Any]:
+        score = self._score
         return {
             "mission_time_s": self.mission.t,
-            "goal_distance_m": self._distance,
             "uplinks": self.mission.counts.uplinks,
+            "truth": {
+                "goal_distance_m": score.distance,
+                "at_goal": score.at_goal,
+                "tip_over": score.tipped,
+                "collisions": score.collisions,
+                "reward_terms": dict(score.terms),
+            },
         }
 
 
 class UplinkEnv(MissionEnv):
-    """One robot at the end of a delayed link."""
+    """One robot at the end of a delayed link.
+
+    **Action**, a dict. `kind` says what goes up; the fields it does not use are ignored. Lengths and angles are scaled to
+    [-1, 1], float32; what lies beyond is taken as the bound, what is no finite number of the right shape is refused.
+
+    | field | space | meaning |
+    |---|---|---|
+    | `kind` | Discrete(7) | 0 nothing, 1 joint move, 2 leg move, 3 body move, 4 images, 5 stop, 6 drive |
+    | `leg` | Discrete(6) | leg of a joint or leg move: 0 is leg 1 |
+    | `joints` | Box(dof,) | motor angles to go to, from the lower to the upper limit of each joint; dof is 6 on SDM-B, 7 on T12 |
+    | `wheel` | Box(3,) | axle to go to in `hex`: the normal stance plus 1 m times this |
+    | `guard` | Discrete(3) | of a leg move: 0 none, 1 break contact, 2 contact (stops at 0.4 of a wheel's share of the weight) |
+    | `shift` | Box(3,) | of the chassis in `hex`, times 0.5 m |
+    | `turn` | Box(3,) | of the chassis in `hex`, rotation vector, times 0.2 rad |
+    | `drive` | Box(2,) | way of all wheels along x and y of `hex`, times 2 m |
+    | `cameras` | MultiBinary(n) | pairs to take, in the order of `env.unwrapped.cameras`, each side binned by 4; absent without cameras |
+
+    **Observation**, a dict of what has come down; all are copies, zero until something comes. float32 unless said otherwise.
+
+    | field | shape | unit, frame, range |
+    |---|---|---|
+    | `t` | (1,) | mission time [s] |
+    | `goal_in_world` | (2,) | x, y of the goal; the ground's `world` begins under the robot, x ahead [m] |
+    | `telemetry_age`, `fault_age` | (1,) | since the last was made on board [s]; 1e6 for never |
+    | `joints`, `motors` | (6, dof) | angles after and before the wind-up [rad], within 2 pi |
+    | `torques` | (6, dof) | over their limits, within 10 |
+    | `attitude_rpy` | (3,) | roll, pitch, yaw of `hex` by the inertial unit [rad], within 2 pi |
+    | `rates` | (3,) | angular velocity in `hex` [rad/s], within 10 |
+    | `acceleration` | (3,) | specific force in `hex` [m/s2], within 100 |
+    | `executive_state` | Discrete(5) | 0 unknown, 1 idle, 2 executing, 3 stopped, 4 fault |
+    | `receipt` | Discrete | status of the last receipt, by `envs.spaces.RECEIPTS`; 0 for none yet |
+    | `fault` | Discrete | code of the last fault, by `envs.spaces.FAULTS`; 0 for none yet |
+    | `image_present` | MultiBinary(n) | whether a pair of this camera has come down |
+    | `image_age` | (n,) | since it was taken [s]; 1e6 for never |
+    | `left`, `right` | (n, h, w) uint8 | grey pictures, rectified, one fixed slot a camera, zero until one comes |
+
+    The four image fields are absent without cameras (`cameras=()`), which is the cheaper environment.
+
+    **Reward**: the sum of `info["truth"]["reward_terms"]`; weights in `RewardConfig`, all zero but progress.
+    **Terminated**: tipped over by 30 degrees, or stands at the goal. **Truncated**: mission time has reached the limit.
+    **info**: `mission_time_s`; `uplinks` sent; `messages` that came down in this step; and `truth`, for scoring and never
+    for the agent: `goal_distance_m`, `at_goal`, `tip_over`, `collisions` so far and `reward_terms`.
+    """
 
     def __init__(
         self,
@@ -202,7 +266,7 @@ class UplinkEnv(MissionEnv):
             body: "twin", or "mock" for no physics on flat ground.
             scenario: name, path ending in .toml, or a scenario itself.
             link: one-way delay [s] on default links, or the up and down configuration; 5 s by default.
-            cameras: shown in observations and usable in actions; all by default.
+            cameras: shown in observations and usable in actions; all by default, none of an empty tuple.
             step_s: longest step, mission time [s].
             time_limit: mission time after which an episode is truncated [s]; the scenario's by default.
             render_mode: "rgb_array" for a view from above.
@@ -232,13 +296,13 @@ class UplinkEnv(MissionEnv):
         self._rebuild(seed)
         self._view = DownlinkView(self.drawings, self.cameras, self.goal)
         self._sequences = 0
-        return self._view.observation(self.mission.t), self._info()
+        return self._view.observation(self.mission.t), self._info() | {"messages": []}
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Send what the action says, and wait."""
-        if KINDS[int(action["kind"])] == "stop":
-            return self.step_message(Stop(seq=self._next(), robot_id=self.drawings.name, t=self.mission.t, reason="action"))
+        """Send what the action says, and wait. An action that cannot be read raises `CommandError` and changes nothing."""
         command = command_of(action, self.drawings, self.cameras)
+        if KINDS[one_of(action, "kind", len(KINDS))] == "stop":
+            return self.step_message(Stop(seq=self._next(), robot_id=self.drawings.name, t=self.mission.t, reason="action"))
         if command is None:
             return self.step_message(None)
         number = self._next()
