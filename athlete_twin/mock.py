@@ -21,6 +21,7 @@ from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Message,
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
+from athlete_twin.moment import Moment, taken
 from athlete_twin.moves import Sensed
 from athlete_twin.robot import ViewTruth
 from athlete_twin.world.injected import InjectedFault
@@ -114,6 +115,15 @@ class MockAthlete:
 
     def close(self) -> None:
         """Holds nothing."""
+
+    def save(self) -> Moment:
+        """This moment: what follows `restore` of it equals what follows now, to the last bit."""
+        changing = {name: value for name, value in vars(self).items() if name != "on_view"}
+        return taken(changing, (self.spec, self.kin, *self.track))
+
+    def restore(self, moment: Moment) -> None:
+        """Back to a moment that this robot saved, as often as wanted."""
+        vars(self).update(taken(moment, (self.spec, self.kin, *moment["track"])))
 
     def truth(self) -> MockTruth:
         """What is so now."""

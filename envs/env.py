@@ -6,21 +6,24 @@ truth; the observation never does.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import gymnasium as gym
 import numpy as np
 
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import ConfigError, PhysicsError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
 from athlete_twin.messages import CommandSequence, Stop
 from athlete_twin.model.spec import RobotSpec, load_spec
+from athlete_twin.moment import Moment, taken
 from athlete_twin.robot import SimulatedRobot, TruthView
 from athlete_twin.world.scenario import Scenario, load_scenario
 from envs.action_fields import Action, one_of
 from envs.build import check_unbroken, mock, twin
+from envs.episode import EpisodeState
 from envs.mission import Mission
 from envs.rewards import RewardConfig, StepTruth, reward_terms
 from envs.scoring import ARRIVED, LOADED, TIPPED, tilt
@@ -105,6 +108,7 @@ class MissionEnv(gym.Env[Observation, Action]):
         self._mission: Mission | None = None
         self._grid: HeightGrid | None = None
         self._score = Score()
+        self._seed, self._inputs = 0, list[Any]()
 
     @property
     def mission(self) -> Mission:
@@ -119,36 +123,101 @@ class MissionEnv(gym.Env[Observation, Action]):
             return None
         return top_view(self._robot, self._grid, self.goal)
 
+    def save_state(self) -> EpisodeState:
+        """This moment of the episode: what follows `restore_state` of it equals what follows now, to the last bit.
+
+        Of what was sent or done past `step` (by `mission`, say) only the environment that saved knows, until its next
+        reset. The generators of the spaces are the caller's.
+        """
+        self.mission  # noqa: B018  (refuses before the first reset)
+        return EpisodeState(
+            made_with=self._made_with(), seed=self._seed, inputs=tuple(self._inputs), t=self.mission.t,
+            rng=copy.deepcopy(self._np_random), moment=self._taken(),
+        )  # fmt: skip
+
+    def restore_state(self, state: EpisodeState) -> tuple[Observation, dict[str, Any]]:
+        """Back to a saved moment, as often as wanted: its observation and info.
+
+        Costs milliseconds in the environment that saved it; after a reset, in another one made alike, while a hull touched
+        something, or with a ground inside, the episode is run again from its start.
+        """
+        state.check(self._made_with())
+        if state.moment is not None and state.moment["robot"] is self._robot:
+            self._put_back(state.moment)
+            self._inputs = list(state.inputs)
+        else:
+            self._begin(state.seed)
+            for message in state.inputs:
+                self._input(message)
+            if self.mission.t != state.t:
+                raise ConfigError(
+                    f"the episode was run again to {self.mission.t} s instead of {state.t} s: "
+                    "not all that happened in it went through step()"
+                )
+        self._np_random = copy.deepcopy(state.rng)
+        return self._observation(), self._info()
+
     def close(self) -> None:
         """Free the simulation."""
         if self._robot is not None:
             self._robot.close()
             self._robot = None
 
-    def _rebuild(self, seed: int | None) -> int:
-        """A fresh robot on fresh ground; the trial's seed.
+    def _reset(self, seed: int | None) -> None:
+        """A fresh episode; its seed is drawn where none is given."""
+        super().reset(seed=seed)
+        self._begin(int(self.np_random.integers(2**31)) if seed is None else seed)
+
+    def _begin(self, seed: int) -> None:
+        """A fresh robot on fresh ground.
 
         Everything is built anew: Bullet repeats itself bit by bit only then.
         """
-        super().reset(seed=seed)
-        trial_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self.close()
         if self._body == "mock":
             self._robot, self._grid = mock(self.drawings, self.scenario)
         else:
-            self._robot, self._grid = twin(self.drawings, self.scenario, trial_seed)
+            self._robot, self._grid = twin(self.drawings, self.scenario, seed)
         up, down = self.link
         self._mission = Mission(
             self._robot,
-            up=DelayedLink(up, np.random.default_rng([trial_seed, 1])),
-            down=DelayedLink(down, np.random.default_rng([trial_seed, 2])),
-            agent=self._agent(trial_seed),
+            up=DelayedLink(up, np.random.default_rng([seed, 1])),
+            down=DelayedLink(down, np.random.default_rng([seed, 2])),
+            agent=self._agent(seed),
             on_truth=lambda truth: self._watch(tilt(truth.world_from_hex)),
         )
+        self._seed, self._inputs = seed, []
         self._score = Score(
             distance=self._distance_of(self._robot.truth()), terms=reward_terms(StepTruth(), self._rewards)
         )
-        return trial_seed
+
+    def _made_with(self) -> dict[str, Any]:
+        """What makes two environments alike."""
+        return {
+            "robot": self.drawings.name,
+            "body": self._body,
+            "scenario": self.scenario.name,
+            "scenario's content": repr(self.scenario),
+            "link": self.link,
+            "cameras": self.cameras,
+            "step_s": self.step_s,
+            "rewards": self._rewards,
+        }
+
+    def _input(self, message: Any) -> Any:
+        """One step, with what its action meant."""
+        raise NotImplementedError
+
+    def _observation(self) -> Observation:
+        raise NotImplementedError
+
+    def _taken(self) -> Moment | None:
+        """Copies of all that changes, if that can be copied."""
+        return None
+
+    def _put_back(self, moment: Moment) -> None:
+        """Back to what `_taken` gave."""
+        raise NotImplementedError
 
     def _agent(self, seed: int) -> GroundAgent | None:
         """The ground inside, if any."""
@@ -293,19 +362,17 @@ class UplinkEnv(MissionEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """A fresh robot; nothing has come down yet."""
         del options
-        self._rebuild(seed)
-        self._view = DownlinkView(self.drawings, self.cameras, self.goal)
-        self._sequences = 0
-        return self._view.observation(self.mission.t), self._info() | {"messages": []}
+        self._reset(seed)
+        return self._observation(), self._info() | {"messages": []}
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Send what the action says, and wait. An action that cannot be read raises `CommandError` and changes nothing."""
         command = command_of(action, self.drawings, self.cameras)
         if KINDS[one_of(action, "kind", len(KINDS))] == "stop":
-            return self.step_message(Stop(seq=self._next(), robot_id=self.drawings.name, t=self.mission.t, reason="action"))
+            return self.step_message(Stop(seq=self._sequences, robot_id=self.drawings.name, t=self.mission.t, reason="action"))
         if command is None:
             return self.step_message(None)
-        number = self._next()
+        number = self._sequences
         return self.step_message(
             CommandSequence(
                 seq=number, robot_id=self.drawings.name, t=self.mission.t, sequence_id=number, commands=(command,)
@@ -319,12 +386,39 @@ class UplinkEnv(MissionEnv):
         begun = self.mission.t
         if message is not None:
             self.mission.send(message)
+        self._inputs.append(message)
+        self._sequences += message is not None
         arrived = self.mission.advance(begun + self.step_s, stop_at_downlink=True)
         for down in arrived:
             self._view.take(down)
         value, terminated, truncated, info = self._judged(begun)
-        return self._view.observation(self.mission.t), value, terminated, truncated, info | {"messages": arrived}
+        return self._observation(), value, terminated, truncated, info | {"messages": arrived}
 
-    def _next(self) -> int:
-        self._sequences += 1
-        return self._sequences - 1
+    def _begin(self, seed: int) -> None:
+        super()._begin(seed)
+        self._view = DownlinkView(self.drawings, self.cameras, self.goal)
+        self._sequences = 0
+
+    def _input(self, message: CommandSequence | Stop | None) -> Any:
+        return self.step_message(message)
+
+    def _observation(self) -> Observation:
+        return self._view.observation(self.mission.t)
+
+    def _taken(self) -> Moment | None:
+        mission = self.mission
+        try:
+            robot = mission.robot.save()
+        except PhysicsError:  # a hull touches something: seed and inputs have to do
+            return None
+        mine = (self._view, self._score, self._sequences)
+        return {"robot": mission.robot, "saved": robot, "ours": taken({"mission": vars(mission), "env": mine}, self._lasting())}
+
+    def _put_back(self, moment: Moment) -> None:
+        self.mission.robot.restore(moment["saved"])
+        ours = taken(moment["ours"], self._lasting())
+        vars(self.mission).update(ours["mission"])
+        self._view, self._score, self._sequences = ours["env"]
+
+    def _lasting(self) -> tuple[object, ...]:
+        return (self.mission.robot, self.drawings)

@@ -125,7 +125,7 @@ class OperatorEnv(MissionEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """A fresh robot and a ground that knows nothing yet."""
         del options
-        self._rebuild(seed)
+        self._reset(seed)
         return self._observation(), self._info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -139,6 +139,7 @@ class OperatorEnv(MissionEnv):
     def step_decision(self, decision: Decision | None) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """The same as `step` with a decision object; None while no proposal stands."""
         mission, begun = self.mission, self.mission.t
+        self._inputs.append(decision)
         if mission.wants_answer:
             mission.answer(decision or Decision(kind="wait", duration=self.step_s))
         elif decision is not None and decision.kind == "stop":
@@ -170,6 +171,12 @@ class OperatorEnv(MissionEnv):
             "arrived": mission.arrived is not None,
             "no_step": mission.no_step is not None,
         }
+
+    def _made_with(self) -> dict[str, Any]:
+        return super()._made_with() | {"variant": self._variant}
+
+    def _input(self, message: Decision | None) -> Any:
+        return self.step_decision(message)
 
     def _observation(self) -> Observation:
         return observed(self.proposal, self.drawings, self.mission.t, self.goal)
