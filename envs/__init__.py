@@ -6,6 +6,8 @@ A folder of your own called `envs` beside your script would shadow this package.
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium as gym
 
 _ROBOTS = {"SdmB": "sdm_b", "T12": "t12"}
@@ -19,3 +21,12 @@ for _title, _robot in _ROBOTS.items():
         _id = f"AthleteTwin/{_title}{_suffix}-v0"
         if _id not in gym.registry:
             gym.register(id=_id, entry_point=_entry, kwargs={"robot": _robot, **_kwargs})
+
+
+def __getattr__(name: str) -> Any:
+    """`envs.FlatUplink`, imported when asked for: what it needs is not cheap."""
+    if name == "FlatUplink":
+        from envs.flat_uplink import FlatUplink
+
+        return FlatUplink
+    raise AttributeError(f"module 'envs' has no attribute {name!r}")

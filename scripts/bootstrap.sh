@@ -55,7 +55,12 @@ make_venv() {
     "$python" -m venv --clear "$venv"
 }
 
-pip_install() { "$venv/bin/python" -m pip install -qq --disable-pip-version-check -c constraints.txt -e '.[dev]'; }
+pip_install() { "$venv/bin/python" -m pip install -qq --disable-pip-version-check -c constraints.txt "$@"; }
+
+pip_install_learning() {
+    # torch's default wheel for Linux brings 3 GB of CUDA. Only a CPU build is taken, 0.2 GB, where pip knows one.
+    pip_install "torch==$(sed -n 's/^torch==//p' constraints.txt)+cpu" -e '.[rl]' 2>/dev/null
+}
 
 libraries_load() {
     # In one interpreter, as the programs use them. Open3D goes through the loader, which names what is missing.
@@ -76,8 +81,11 @@ PY
 is_cpython_311 "$venv/bin/python" && "$venv/bin/python" -m pip --version >/dev/null 2>&1 || make_venv
 
 say "installing the pinned packages (a few minutes and about 2 GB the first time)"
-pip_install || { say "pip failed; trying once more"; sleep 5; pip_install; } \
+pip_install -e '.[dev]' || { say "pip failed; trying once more"; sleep 5; pip_install -e '.[dev]'; } \
     || die "pip could not install the packages of constraints.txt; its messages are above"
+
+pip_install_learning || say "pip finds no CPU build of torch: the tests that train a learner are skipped" \
+    "(with CUDA: $venv/bin/python -m pip install -c constraints.txt -e '.[rl]')"
 
 if ! problem=$(libraries_load 2>&1); then
     can_apt && { apt_install "${system_packages[@]}" || true; }

@@ -184,7 +184,7 @@ def test_constraints_pin_every_requirement_to_a_version_it_allows() -> None:
     pins = dict(line.split("==") for line in constraint_lines())
     pins = {canonicalize_name(name): version for name, version in pins.items()}
     table = project()["project"]
-    for text in [*table["dependencies"], *table["optional-dependencies"]["dev"]]:
+    for text in [*table["dependencies"], *(r for extra in table["optional-dependencies"].values() for r in extra)]:
         requirement = Requirement(text)
         pinned = pins.get(canonicalize_name(requirement.name))
         assert pinned is not None, f"{requirement.name} is not pinned"
