@@ -105,6 +105,20 @@ class TrackPoint:
     """dock angles in the order of the URDF, empty on SDM-B [rad]"""
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Control:
+    """What holds during one control period."""
+
+    commands: Joints
+    """of the motors, as they are and not as their encoders read them [rad]"""
+    rates: Joints
+    """[rad/s]"""
+    events: list[Event]
+    """to be told at its end"""
+    changed: bool
+    """whether the executive's state did"""
+
+
 class Athlete:
     """One robot in one scenario, from one seed."""
 
@@ -159,6 +173,8 @@ class Athlete:
         self._eyes: Any = None
         self.t = 0.0
         self._readings, self._controls = 0, 0
+        self._ticks = 0
+        """of physics since the control period began"""
         self._rest = False
         self._counts: dict[str, int] = {}
         self._captures = 0
@@ -194,10 +210,26 @@ class Athlete:
             made.append(self._telemetry())
         return made
 
+    def receive_raw(self, raw: bytes) -> list[Message]:
+        """Take bytes that came up the link; what is no command for this robot is refused with a receipt."""
+        if self._breakage.dark(self.t):
+            return []
+        stops = self.executive.state
+        made = self._tell(self.executive.accept_raw(raw))
+        if stops != self.executive.state:
+            made.append(self._telemetry())
+        return made
+
     def advance(self, until: float) -> list[Message]:
-        """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first."""
+        """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first.
+
+        Time may pass `until` by less than a physics tick; what comes up meanwhile is heard at that tick.
+        """
         out, self._waiting = self._waiting, []
         while self.t < until - 1e-9 and not out:
+            if self._ticks:
+                out = self._physics_tick()
+                continue
             out = self._break()
             if out:
                 break
@@ -207,7 +239,8 @@ class Athlete:
                 self._touching = {p: t + later - self.t for p, t in self._touching.items()}
                 self.t = later
             else:
-                out = self._control_tick()
+                self._begin_control()
+                out = self._physics_tick()
         return out
 
     def close(self) -> None:
@@ -297,29 +330,40 @@ class Athlete:
             index=self._readings,
         )
 
-    def _control_tick(self) -> list[Message]:
+    def _begin_control(self) -> None:
+        """What the executive makes of what it feels: how the motors go until the next control tick."""
         measured = self._sense()
         sensed = Sensed(joints=measured.joints, torques=measured.torques, attitude_rpy=measured.attitude_rpy)
         before, state = self.executive.setpoint, self.executive.state
         events = [] if self._breakage.dark(self.t) else self.executive.tick(sensed)
-        commands = self.executive.setpoint - self.trial.encoder_zero
         rates = np.maximum(np.abs(self.executive.setpoint - before) / CONTROL_PERIOD, 1e-3)
-        rates = np.minimum(rates, self.spec.speed_unloaded)
-        limits = self.spec.torque_limits
-        for _ in range(TICKS_PER_CONTROL):
-            self.body.step(commands, rates, self.executive.wheel_rates if self.executive.rolling else None)
-            fraction = np.abs(self.body.torques()) / limits
-            self._torque_fraction += (fraction - self._torque_fraction) * (TICK / TORQUE_FILTER)
-        self.t += CONTROL_PERIOD
+        self._control = _Control(
+            commands=self.executive.setpoint - self.trial.encoder_zero,
+            rates=np.minimum(rates, self.spec.speed_unloaded),
+            events=events,
+            changed=state != self.executive.state,
+        )
+
+    def _physics_tick(self) -> list[Message]:
+        """One tick of physics; at the end of a control period what there is to send down."""
+        control = self._control
+        self.body.step(control.commands, control.rates, self.executive.wheel_rates if self.executive.rolling else None)
+        fraction = np.abs(self.body.torques()) / self.spec.torque_limits
+        self._torque_fraction += (fraction - self._torque_fraction) * (TICK / TORQUE_FILTER)
+        self.t += TICK
+        self._ticks = (self._ticks + 1) % TICKS_PER_CONTROL
+        return [] if self._ticks else self._end_control(control)
+
+    def _end_control(self, control: _Control) -> list[Message]:
         self.peak_torque_fraction = max(self.peak_torque_fraction, float(self._torque_fraction.max()))
         self._rest = not self.executive.busy and settled(self.body)
         self._controls += 1
         self._look_for_collisions(strikes=self._controls % CONTROLS_PER_CHECK == 0)
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
-        made = self._tell(events)
-        changed = state != self.executive.state or any(
-            e.kind == "fault" or (e.kind == "receipt" and e.command_index < 0) for e in events
+        made = self._tell(control.events)
+        changed = control.changed or any(
+            e.kind == "fault" or (e.kind == "receipt" and e.command_index < 0) for e in control.events
         )
         if changed or (self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD):
             made.append(self._telemetry())
@@ -332,7 +376,7 @@ class Athlete:
                 out.append(
                     Receipt(
                         seq=self._next("receipt"), robot_id=self.robot_id, t=self.t, sequence_id=e.sequence_id,
-                        command_index=e.command_index, status=e.status, text=e.text,
+                        command_index=e.command_index, status=e.status, text=e.text, cause=e.cause,
                     )
                 )
             elif e.kind == "fault":

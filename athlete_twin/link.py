@@ -125,11 +125,10 @@ class DelayedLink:
         late, fate, double, copy_late, flip = self._rng.random(5).tolist()
         config = self.config
         lost = fate < config.loss
+        losses = int(lost)
         if lost and config.retry_after is not None:
             # The k-th transmission is lost too with loss^k: one number tells how many are.
             losses = int(math.log(max(fate, 1e-300)) / math.log(config.loss))
-        else:
-            losses = int(lost)
         arriving = _damaged(raw, flip / config.corruption) if flip < config.corruption else raw
         flight = _Flight(arriving, late, losses, copy_late if double < config.duplication else None)
         number = next(self._number)

@@ -76,6 +76,7 @@ class MockAthlete:
         self.peak_torque_fraction = 0.0
         self._counts: dict[str, int] = {}
         self._last_telemetry = self._last_track = -np.inf
+        self._since_control = 0.0
         self._height_tilt = np.array([spec.chassis_height, 0.0, 0.0])
         self._place_xy_yaw = np.zeros(3)
         wheels = self.kin.wheels_in_hex(self.executive.setpoint)
@@ -99,15 +100,32 @@ class MockAthlete:
             made.append(self._telemetry())
         return made
 
+    def receive_raw(self, raw: bytes) -> list[Message]:
+        """Take bytes that came up the link; what is no command for this robot is refused with a receipt."""
+        state = self.executive.state
+        made = self._tell(self.executive.accept_raw(raw))
+        if state != self.executive.state:
+            made.append(self._telemetry())
+        return made
+
     def advance(self, until: float) -> list[Message]:
-        """Run to mission time `until` [s], or until something goes down, whichever comes first."""
+        """Run to mission time `until` [s], or until something goes down, whichever comes first.
+
+        A control tick that ends later has not happened yet: what comes up until then finds the robot before it.
+        """
         if self._last_telemetry < 0.0:
             return [self._telemetry()]
         out: list[Message] = []
         while self.t < until - 1e-9 and not out:
             if not self.executive.busy:
+                self.t, self._since_control = until, 0.0
+                break
+            left = max(CONTROL_PERIOD - self._since_control, 0.0)
+            if self.t + left > until + 1e-9:
+                self._since_control += until - self.t
                 self.t = until
                 break
+            self.t, self._since_control = self.t + left, 0.0
             out = self._control_tick()
         return out
 
@@ -147,7 +165,6 @@ class MockAthlete:
             self._anchors = self._anchors + CONTROL_PERIOD * turn.rotate(velocities)[:, :2]
         if self.executive.rolling or self.executive.setpoint is not before:
             self._settle()
-        self.t += CONTROL_PERIOD
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
         made = self._tell(events)
@@ -216,6 +233,7 @@ class MockAthlete:
                         command_index=e.command_index,
                         status=e.status,
                         text=e.text,
+                        cause=e.cause,
                     )
                 )
         return out

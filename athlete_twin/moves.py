@@ -6,7 +6,7 @@ begun. A move goes as fast as the slowest joint allows, all joints in step.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,6 +24,8 @@ DESCENT_SPEED = 0.06
 """of a guarded descent: a tyre takes 1 kN/m x 0.06 m/s x one tick more than asked for [m/s]"""
 BRANCH_TOLERANCE = 0.03
 """a straight move starts only where the closed-form solution agrees with the joints this well [rad]"""
+PACING_TRIES = 20
+"""to find a step within the joints' speed: a tenth of the one before at worst, so none is found only where joints jump"""
 CHECKED_POINTS = 16
 """of a path checked for reach before it begins"""
 AIRBORNE_LOAD = 120.0
@@ -103,16 +105,17 @@ def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Mov
     speed = (DESCENT_SPEED if command.guard == "contact" else WHEEL_SPEED) * command.speed_scale
     fraction, q = 0.0, start.copy()
     sensed = yield q
+    posed = start.copy()
+    posed[leg] = _solve(kin, leg, origin, direction)
+    for q in _into_posture(start, posed, kin.spec.speed_loaded * command.speed_scale * dt):
+        sensed = yield q
     tare = vertical_load(kin, leg, sensed) if command.guard == "contact" else 0.0
     while fraction < 1.0:
         rate = (kin.spec.speed_loaded if loaded else kin.spec.speed_unloaded) * command.speed_scale
         step = min(speed * dt / max(length, 1e-9), 1.0 - fraction)
-        target = _solve(kin, leg, origin + (fraction + step) * span, direction)
-        change = np.abs(target - q[leg]).max()
-        if change > rate * dt:
-            step *= rate * dt / change
-            target = _solve(kin, leg, origin + (fraction + step) * span, direction)
-        fraction += step
+        fraction, target = _paced(
+            lambda f: _solve(kin, leg, origin + f * span, direction), q[leg], fraction, step, rate * dt, leg
+        )
         q = q.copy()
         q[leg] = target
         sensed = yield q
@@ -145,20 +148,45 @@ def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> M
     directions = np.array([p.rotation[:, 0] for p in poses])
     size = float(np.linalg.norm(command.translation_in_hex))
     size = max(size, 2.0 * float(np.linalg.norm(command.rotvec_in_hex)), float(np.abs(command.wheel_offsets_in_hex).max()))
-    for fraction in np.linspace(0.0, 1.0, CHECKED_POINTS):
+    posed = _body_pose(kin, command, wheels, directions, 0.0)
+    for leg in range(LEGS):
+        _check_posture(leg, posed[leg], start[leg])
+    for fraction in np.linspace(0.0, 1.0, CHECKED_POINTS)[1:]:
         _body_pose(kin, command, wheels, directions, fraction)
+    if size == 0.0:
+        return
     q, fraction = start.copy(), 0.0
-    rate = kin.spec.speed_loaded * command.speed_scale
-    while fraction < 1.0 and size > 0.0:
-        step = min(WHEEL_SPEED * dt / size, 1.0 - fraction)
-        target = _body_pose(kin, command, wheels, directions, fraction + step)
-        change = np.abs(target - q).max()
-        if change > rate * dt:
-            step *= rate * dt / change
-            target = _body_pose(kin, command, wheels, directions, fraction + step)
-        fraction += step
-        q = target
+    limit = kin.spec.speed_loaded * command.speed_scale * dt
+    for q in _into_posture(start, posed, limit):
         yield q
+    while fraction < 1.0:
+        step = min(WHEEL_SPEED * dt / size, 1.0 - fraction)
+        fraction, q = _paced(
+            lambda f: _body_pose(kin, command, wheels, directions, f), q, fraction, step, limit, -1
+        )
+        yield q
+
+
+def _into_posture(start: Joints, posed: Joints, limit: float) -> Generator[Joints, None, None]:
+    """From where the joints are to the closed form's angles for the same place of the wheels, at most `limit` a tick [rad]."""
+    ticks = int(np.ceil(np.abs(posed - start).max() / limit - 0.5))
+    for k in range(1, ticks + 1):
+        yield start + (posed - start) * (k / (ticks + 0.5))
+
+
+def _paced(
+    angles_at: Callable[[float], np.ndarray], now: np.ndarray, fraction: float, step: float, limit: float, leg: int
+) -> tuple[float, np.ndarray]:
+    """The next fraction of a straight way and its angles, none of which changes by more than `limit` [rad]."""
+    for _ in range(PACING_TRIES):
+        target = angles_at(fraction + step)
+        change = float(np.abs(target - now).max())
+        if change <= limit:
+            return fraction + step, target
+        step *= max(0.999 * limit / change, 0.1)
+    raise MoveFailedError(
+        "unreachable", f"a joint would jump by {np.rad2deg(change):.1f} deg {100 * fraction:.0f} % along the way", leg
+    )
 
 
 def _body_pose(
@@ -187,8 +215,13 @@ def _unreachable(leg: int, wheel_in_hex: Vec3) -> MoveFailedError:
 
 
 def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, direction: Vec3) -> None:
-    first = _solve(kin, leg, points[0], direction)
-    off = float(np.abs(first - start[leg]).max())
+    _check_posture(leg, _solve(kin, leg, points[0], direction), start[leg])
+    for point in points[1:]:
+        _solve(kin, leg, point, direction)
+
+
+def _check_posture(leg: int, solved: np.ndarray, now: np.ndarray) -> None:
+    off = float(np.abs(solved - now).max())
     if off > BRANCH_TOLERANCE:
         raise MoveFailedError(
             "unreachable",
@@ -196,5 +229,3 @@ def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, d
             "bring it there with a joint move first",
             leg,
         )
-    for point in points[1:]:
-        _solve(kin, leg, point, direction)

@@ -14,6 +14,7 @@ import numpy as np
 from athlete_twin.errors import ConfigError
 from athlete_twin.messages import (
     EXECUTIVE_STATES,
+    RECEIPT_STATES,
     BodyMove,
     Command,
     Drive,
@@ -47,7 +48,7 @@ CONTACT_SHARE = 0.4
 NEVER = 1e6
 """age of what has not come down yet [s]"""
 
-RECEIPTS = ("none", "queued", "executing", "completed", "failed", "cancelled")
+RECEIPTS = ("none", *RECEIPT_STATES)
 FAULTS = (
     "none", "torque_limit", "tilt", "no_contact", "contact_not_broken", "unreachable", "bad_command", "brown_out", "swing_contact",
     "ratchet_slip",

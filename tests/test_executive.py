@@ -276,7 +276,7 @@ def test_a_camera_that_the_robot_lacks_is_a_bad_command_and_nothing_is_completed
 def test_a_full_queue_refuses_with_a_receipt():
     e = executive()
     statuses = [e.accept(sequence(Wait(duration=1.0), number=n))[0].status for n in range(10)]
-    assert statuses.count("failed") == 2
+    assert statuses.count("refused") == 2
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -318,7 +318,7 @@ def test_a_drive_faster_than_the_robot_is_a_bad_command_and_a_stop_locks_the_whe
 def test_a_sequence_for_another_robot_is_refused():
     e = executive("t12")
     (receipt,) = e.accept(sequence(Wait(duration=1.0)))
-    assert receipt.status == "failed" and "is for 'sdm_b', this is t12" in receipt.text
+    assert (receipt.status, receipt.cause) == ("refused", "misaddressed") and "is for 'sdm_b', this is t12" in receipt.text
     assert not e.busy
 
 

@@ -127,7 +127,7 @@ def test_log_content_carries_the_header(message):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: JointMove(leg=6, waypoints=np.zeros((1, 6))), "leg index 6 is outside 0 to 5"),
+        (lambda: JointMove(leg=6, waypoints=np.zeros((1, 6))), "leg index 6 is not a whole number from 0 to 5"),
         (lambda: JointMove(leg=0, waypoints=np.zeros((0, 6))), r"way-points have shape \(0, 6\)"),
         (lambda: JointMove(leg=0, waypoints=np.full((1, 6), np.nan)), "need finite"),
         (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), speed_scale=0.0), "speed_scale is 0.0"),
