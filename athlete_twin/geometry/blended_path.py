@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Integer
 
 from athlete_twin.errors import KinematicsError
 
@@ -34,6 +34,8 @@ class BlendedPath:
     """first derivative at their beginnings; of length 1 on lines"""
     bends: Float[np.ndarray, "m dof"]
     """second derivative; zero on lines [1/rad]"""
+    corners: Integer[np.ndarray, " m"]
+    """way-point that a blend passes; -1 on lines"""
     knots: Float[np.ndarray, " m+1"]
     """ends of the pieces along the path, from 0 [rad]"""
     stops: Bool[np.ndarray, " m+1"]
@@ -52,12 +54,16 @@ class BlendedPath:
         along = (s - self.knots[i])[:, None]
         return np.asarray(self.origins[i] + along * (self.directions[i] + 0.5 * along * self.bends[i]))
 
-    def blends(self, spacing: float) -> list[Float[np.ndarray, "n dof"]]:
-        """Configurations on each blend, ends included, not farther apart than `spacing` [rad]."""
+    def blends(self, spacing: float) -> list[tuple[int, Float[np.ndarray, "n dof"]]]:
+        """For each blend the index of its way-point, and configurations on it no farther apart than `spacing` [rad].
+
+        The first and the last are where it begins and ends, the middle one of their odd number is nearest to the way-point.
+        """
         out = []
-        for i in np.flatnonzero(self.bends.any(axis=1)):
+        for i in np.flatnonzero(self.corners >= 0):
             first, last = self.knots[i], self.knots[i + 1]
-            out.append(self.at(np.linspace(first, last, 1 + max(2, int(np.ceil((last - first) / spacing))))))
+            halves = max(1, int(np.ceil(0.5 * (last - first) / spacing)))
+            out.append((int(self.corners[i]), self.at(np.linspace(first, last, 1 + 2 * halves))))
         return out
 
     def _pieces(self, s: np.ndarray) -> np.ndarray:
@@ -76,7 +82,8 @@ def blended(waypoints: Float[np.ndarray, "k dof"], tolerance: float) -> BlendedP
         raise KinematicsError(f"a path needs finite way-points of shape (k, dof) with k >= 1, got {given.shape}")
     if not (np.isfinite(tolerance) and tolerance >= 0.0):
         raise KinematicsError(f"corner tolerance {tolerance} rad must be finite and not negative")
-    nodes = _distinct(given)
+    kept = _distinct(given)
+    nodes = given[kept]
     spans = np.diff(nodes, axis=0)
     lengths = np.linalg.norm(spans, axis=1)
     units = spans / lengths[:, None]
@@ -86,23 +93,26 @@ def blended(waypoints: Float[np.ndarray, "k dof"], tolerance: float) -> BlendedP
     cuts = np.minimum(room, 2.0 * tolerance / np.maximum(half_turns, STRAIGHT))
     straight, stops = half_turns < STRAIGHT, (half_turns > 1.0 - STRAIGHT) | (tolerance == 0.0)
     cuts = np.where(straight | stops, 0.0, cuts)
-    return _pieces(nodes, units, lengths, cuts, stops & ~straight)
+    return _pieces(nodes, kept, units, lengths, cuts, stops & ~straight, given[-1])
 
 
-def _distinct(nodes: np.ndarray) -> np.ndarray:
-    """Way-points without those where the path is already; the first and the last stay as they are."""
-    kept = [nodes[0]]
-    for node in nodes[1:]:
-        if np.linalg.norm(node - kept[-1]) > SAME:
-            kept.append(node)
+def _distinct(nodes: np.ndarray) -> list[int]:
+    """Indices of way-points without those where the path is already; the first is among them, and the last where it moves at all."""
+    kept = [0]
+    for i, node in enumerate(nodes):
+        if np.linalg.norm(node - nodes[kept[-1]]) > SAME:
+            kept.append(i)
     if len(kept) > 1:
-        kept[-1] = nodes[-1]
-    return np.array(kept)
+        kept[-1] = len(nodes) - 1
+    return kept
 
 
-def _pieces(nodes: np.ndarray, units: np.ndarray, lengths: np.ndarray, cuts: np.ndarray, stops: np.ndarray) -> BlendedPath:
+def _pieces(
+    nodes: np.ndarray, kept: list[int], units: np.ndarray, lengths: np.ndarray, cuts: np.ndarray, stops: np.ndarray, end: np.ndarray
+) -> BlendedPath:
     """Line, blend, line, and so on; lines of which the blends left nothing are left out."""
     knots, origins, directions, bends, halts = [0.0], [], [], [], [True]
+    corners: list[int] = []
     nothing = np.zeros(nodes.shape[1])
     before, after = np.concatenate([[0.0], cuts]), np.concatenate([cuts, [0.0]])
     for i, unit in enumerate(units):
@@ -112,12 +122,14 @@ def _pieces(nodes: np.ndarray, units: np.ndarray, lengths: np.ndarray, cuts: np.
             origins.append(nodes[i] + before[i] * unit)
             directions.append(unit)
             bends.append(nothing)
+            corners.append(-1)
             halts.append(i == len(units) - 1 or bool(stops[i]))
         if after[i] > 0.0:
             knots.append(knots[-1] + 2.0 * after[i])
             origins.append(nodes[i + 1] - after[i] * unit)
             directions.append(unit)
             bends.append((units[i + 1] - unit) / (2.0 * after[i]))
+            corners.append(kept[i + 1])
             halts.append(False)
     halts[-1] = True
     shape = (len(origins), nodes.shape[1])
@@ -126,6 +138,7 @@ def _pieces(nodes: np.ndarray, units: np.ndarray, lengths: np.ndarray, cuts: np.
         origins=np.array(origins).reshape(shape),
         directions=np.array(directions).reshape(shape),
         bends=np.array(bends).reshape(shape),
+        corners=np.array(corners, dtype=int),
         stops=np.array(halts),
-        end=nodes[-1].copy(),
+        end=end.copy(),
     )

@@ -62,9 +62,9 @@ def test_a_right_angle_is_cut_by_the_parabola_of_the_closed_form():
     """Between points at equal distance from the corner a parabola is half as near to it as their chord."""
     cut = blended(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]), TOLERANCE)
     width = cut.knots[2] - cut.knots[1]
-    (blend,) = cut.blends(0.002)
-    (middle,) = cut.at(np.array([cut.knots[1] + 0.5 * width]))
-    assert np.linalg.norm(middle - [1.0, 0.0]) == pytest.approx(TOLERANCE)
+    ((corner, blend),) = cut.blends(0.002)
+    assert corner == 1 and len(blend) % 2 == 1
+    assert np.linalg.norm(blend[len(blend) // 2] - [1.0, 0.0]) == pytest.approx(TOLERANCE)
     assert 0.5 * width == pytest.approx(2.0 * np.sqrt(2.0) * TOLERANCE)
     x, y = 1.0 - blend[:, 0], blend[:, 1]
     np.testing.assert_allclose(np.sqrt(x) + np.sqrt(y), np.sqrt(0.5 * width), atol=1e-9)  # its equation between the two lines
@@ -83,6 +83,7 @@ def test_way_points_that_repeat_or_lie_on_the_line_change_nothing():
     s = np.linspace(0.0, plain.length, 500)
     np.testing.assert_allclose(again.at(s), plain.at(s), atol=2.0 * SAME)
     assert not again.stops[1:-1].any()
+    assert [corner for corner, _ in again.blends(0.002)] == [2]
 
 
 @pytest.mark.parametrize("nodes", [[[0.3, 0.1]], [[0.3, 0.1], [0.3, 0.1]], [[0.3, 0.1], [0.3, 0.1 + 0.5 * SAME]]])

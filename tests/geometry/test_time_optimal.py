@@ -77,7 +77,7 @@ def test_it_is_never_faster_than_speed_and_acceleration_allow_between_the_ends_o
     net = float(np.abs(nodes[-1] - nodes[0]).max())
     assert motion.duration >= trapezoid(net, SPEED, ACCELERATION) * (1.0 - 1e-9)
     # Corners are cut: the way left is shorter by what the blends leave out, at most two of their widths each.
-    widths = sum(float(np.linalg.norm(b[-1] - b[0])) for b in motion.path.blends(0.01))
+    widths = sum(float(np.linalg.norm(b[-1] - b[0])) for _, b in motion.path.blends(0.01))
     assert motion.duration >= constant_speed(nodes, SPEED) - (2.0 * widths + 1e-5) / SPEED
 
 
