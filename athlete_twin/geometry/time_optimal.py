@@ -7,9 +7,9 @@ from the start goes as fast as these allow. In a cell of a line or parabola a jo
 the path too: held at both ends of the cell it holds everywhere in it, and not at grid points alone. So do the samples: a second
 difference over a period is a mean of the acceleration.
 
-The toppra library solves the same cells and is what the tests compare with. It is not used here, for it loads a plotting library
-into the robot, takes some milliseconds where this takes some tenths of one, and ends a step up to 1e-8 below what it found, which
-on a blend of micrometres is no longer small.
+The toppra library solves the same cells and is what the tests compare with. It is not used here: it loads a plotting library into
+the robot, takes tens of milliseconds where this takes one, holds limits at grid points, and ends each step by up to 1e-8 below
+what it found, which on cells of microradians asks for more acceleration than there is.
 """
 
 from __future__ import annotations
