@@ -214,7 +214,7 @@ def _swing_rows(robot: str, its: list[Run]) -> list[Row]:
         row(f"{name}: duration over constant speed's, largest", float((by["duration"] / by["constant_speed"]).max()), "1"),
         row(f"{name}: acceleration commanded, largest", float(by["peak"].max()), "rad/s2", target=f"<= {limit * (1 + 1e-6):.7g}",
             peer_name=jumps, peer=float(by["constant_speed_peak"].max())),
-        row(f"{name}: corners cut by the whole tolerance", float(np.mean([r.corner_tolerance == CORNER_TOLERANCE for r in its])), "share"),
+        row(f"{name}: swings that cut corners by the whole tolerance", float(np.mean([r.corner_tolerance == CORNER_TOLERANCE for r in its])), "share"),
         row(f"{name}: swings that stop at corners", float(sum(r.corner_tolerance == 0.0 for r in its)), ""),
         row(f"{name}: duration where toppra finds one ({int(found.sum())}), mean", _mean(by["duration"][found]), "s",
             target="<= 1.001", of="ratio", peer_name="toppra", peer=_mean(by["toppra"][found])),
