@@ -38,6 +38,8 @@ from athlete_twin.geometry.arrays import Joints, RawImage, Vec3
 FARTHEST = 1e3
 """that a command may name: what is farther is a mistake, and squares of it would overflow [m]"""
 GUARDS = ("none", "break_contact", "contact")
+CORNER_TOLERANCE, MOST_CORNER_TOLERANCE = 0.01, 0.1
+"""by which a joint move cuts its corners unless it says otherwise, and at most [rad]"""
 BITS = (8, 12)
 """of a grey value"""
 MAX_BRACKETS = 5
@@ -50,7 +52,7 @@ EXECUTIVE_STATES = ("idle", "executing", "stopped", "fault")
 
 @dataclass(frozen=True, kw_only=True)
 class JointMove:
-    """Move one leg through way-points in joint space, each joint in step with the others."""
+    """Move one leg through way-points in joint space from rest to rest, each joint in step with the others."""
 
     kind: ClassVar[str] = "joint_move"
     leg: int
@@ -58,7 +60,9 @@ class JointMove:
     waypoints: np.ndarray
     """motor angles (before the wind-up), shape (k, dof); the leg starts from where it is [rad]"""
     speed_scale: float = 1.0
-    """of the unloaded joint speed, in (0, 1]"""
+    """of the unloaded joint speed, in (0, 1]; accelerations go with its square"""
+    corner_tolerance: float = CORNER_TOLERANCE
+    """by which the leg may cut the corners at way-points, 0 to 0.1; zero: it stops at each [rad]"""
 
     def __post_init__(self) -> None:
         _check_leg(self.leg)
@@ -66,6 +70,8 @@ class JointMove:
         if w.ndim != 2 or len(w) < 1 or not np.isfinite(w).all():
             raise CommandError(f"way-points have shape {w.shape}, need finite (k, dof) with k >= 1")
         _check_fraction("speed_scale", self.speed_scale)
+        if not 0.0 <= self.corner_tolerance <= MOST_CORNER_TOLERANCE:
+            raise CommandError(f"corner_tolerance {self.corner_tolerance} rad is outside 0 to {MOST_CORNER_TOLERANCE}")
         object.__setattr__(self, "waypoints", w)
 
 

@@ -1,7 +1,8 @@
 """The executive's motions, one control tick at a time: generators that yield motor angles and receive what was sensed.
 
 Each generator checks its whole path for reach before it moves anything, so a command that cannot be finished is not
-begun. A move goes as fast as the slowest joint allows, all joints in step.
+begun. A move goes as fast as the slowest joint allows, all joints in step. Joint moves speed up and slow down no faster than
+their joints may; straight moves begin and end at their full speed, at most that of `WHEEL_SPEED`.
 """
 
 from __future__ import annotations
@@ -11,10 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from athlete_twin.errors import KinematicsError
 from athlete_twin.geometry.arrays import Joints, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, JointMove, LegMove
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.reach import all_legs_ik, leg_ik
 from athlete_twin.model.spec import LEGS
 
@@ -69,7 +72,7 @@ def vertical_load(kin: Kinematics, leg: int, sensed: Sensed) -> float:
 
 
 def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) -> Move:
-    """One leg through way-points in joint space at the unloaded speed."""
+    """One leg through way-points in joint space, as fast as the unloaded speed and acceleration allow."""
     spec, leg = kin.spec, command.leg
     if command.waypoints.shape[1] != spec.dof:
         raise MoveFailedError("bad_command", f"way-points have {command.waypoints.shape[1]} joints, need {spec.dof}", leg)
@@ -82,15 +85,15 @@ def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) ->
             f"{np.rad2deg(spec.lower[joint]):.0f} to {np.rad2deg(spec.upper[joint]):.0f} deg",
             leg,
         )
-    q = start.copy()
-    rate = spec.speed_unloaded * command.speed_scale
-    for target in command.waypoints:
-        origin = q[leg].copy()
-        ticks = max(1, int(np.ceil(np.abs(target - origin).max() / (rate * dt))))
-        for k in range(1, ticks + 1):
-            q = q.copy()
-            q[leg] = origin + (target - origin) * (k / ticks)
-            yield q
+    waypoints = np.concatenate([start[leg][None], command.waypoints])
+    try:
+        timing = leg_timing(spec, waypoints, corner_tolerance=command.corner_tolerance, speed_scale=command.speed_scale)
+    except KinematicsError as e:
+        raise MoveFailedError("bad_command", f"leg {leg + 1}: {e}", leg) from e
+    for row in timing.samples(dt):
+        q = start.copy()
+        q[leg] = row
+        yield q
 
 
 def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Move:

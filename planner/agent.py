@@ -29,6 +29,7 @@ from athlete_twin.messages import (
     Telemetry,
 )
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.spec import LEGS, RobotSpec
 from planner.belief import Belief, BeliefFilter
 from planner.config import PlannerConfig
@@ -41,6 +42,7 @@ from planner.gait.step_plan import BodyShift, StepPlan
 from planner.gait.step_search import Ground, StepRequest, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
+from planner.motion.cornering import free_corner_tolerance
 from planner.recovery import LOWERINGS, Recovery
 from planner.route.drive import DrivePlan, plan_drive
 from planner.route.guide import Guide, Way, refusals
@@ -485,7 +487,9 @@ class GroundAgent:
         """The wheel struck something in the air: back the way it came, and a look at what was there."""
         wheel_in_hex = self.kin.leg_wheel(plan.leg, belief.joints[plan.leg]).translation
         look = () if self.config.fusion_method == "flat" else seeing(self.spec, wheel_in_hex, most=self.config.survey.each_step)
-        sequence = self._as_sequence([JointMove(leg=plan.leg, waypoints=waypoints)], t, cameras=look)
+        # The same corners, cut as they were on the way there.
+        back = JointMove(leg=plan.leg, waypoints=waypoints, corner_tolerance=plan.swing_corner_tolerance)
+        sequence = self._as_sequence([back], t, cameras=look)
         preview = np.repeat(belief.joints[None], len(waypoints) + 1, axis=0)
         preview[1:, plan.leg] = waypoints
         self._plan = None
@@ -514,12 +518,17 @@ class GroundAgent:
         collision = LegCollision(self.spec, ground.filled, carried, belief.joints, plan.leg, step.collision)
         up = raised_path(self.kin, plan, belief, collision, config=self.config.look, payload_kg=self._payload)
         commands: list[Command] = [LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact")]
+        tolerance = free_corner_tolerance(
+            up, [collision.is_free_near_ground] * (len(up) - 1), most=step.swing.corner_tolerance,
+            spacing=step.swing.smoothing.fine_resolution,
+        )  # fmt: skip
         if len(up) > 1:
-            commands.append(JointMove(leg=plan.leg, waypoints=up[1:]))
+            commands.append(JointMove(leg=plan.leg, waypoints=up[1:], corner_tolerance=tolerance))
         preview = np.repeat(belief.joints[None], len(up) + 1, axis=0)
         preview[1:, plan.leg] = up
         # Its swing is the way up: that is what leads back, should the leg strike something on it.
-        self._plan, self._lift = None, replace(plan, swing=up)
+        raised_in = leg_timing(self.spec, up, corner_tolerance=tolerance).duration
+        self._plan, self._lift = None, replace(plan, swing=up, swing_corner_tolerance=tolerance, swing_time=raised_in)
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=plan.leg,
             footfall_in_world=belief.contacts_in_world[plan.leg].copy(),
@@ -637,7 +646,8 @@ class GroundAgent:
             world_from_hex=belief.world_from_hex,
             predicted_margin=min(plan.swing_margin, plan.landed_margin),
             predicted_sag=plan.sag,
-            text=text or f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, then the chassis shifts by {shift:.0f} cm{cut}",
+            text=text or f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, {plan.swing_time:.0f} s through the air, "
+            f"then the chassis shifts by {shift:.0f} cm{cut}",
         )
         return self._proposal
 

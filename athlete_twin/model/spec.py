@@ -116,6 +116,8 @@ class RobotSpec:
     """of a joint that carries weight [rad/s]"""
     speed_unloaded: float
     """of a joint of a leg in the air [rad/s]"""
+    acceleration_unloaded: float
+    """of a joint of a leg in the air: an estimate, none is published, and not a limit that the true motors have [rad/s2]"""
     ratchet: float | None
     """torque over its limit that no gear of a joint holds without skipping a tooth; None for gears that do not ratchet"""
     drive_speed: float
@@ -231,6 +233,7 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         ratchet=figure(motion["ratchet"]) if "ratchet" in motion else None,
         drive_speed=figure(motion["drive_speed_kmh"]) / 3.6,
         speed_unloaded=figure(motion["speed_unloaded"]),
+        acceleration_unloaded=figure(motion["acceleration_unloaded"]),
         foot_radius=figure(stance["foot_radius"]),
         foot_azimuths=np.deg2rad(figure(stance["foot_azimuth_deg"]))
         if "foot_azimuth_deg" in stance

@@ -46,6 +46,10 @@ class StepPlan:
     """axle after lift-off; None when the leg is in the air already [m]"""
     swing: LegPath
     """way-points from above lift-off to above the footfall, shape (k, dof) [rad]"""
+    swing_corner_tolerance: float
+    """by which the executive may cut their corners [rad]"""
+    swing_time: float
+    """that the executive takes for them, from rest to rest [s]"""
     descent_in_hex: Vec3
     """lowest axle position the guarded descent may go to [m]"""
     contact_load: float

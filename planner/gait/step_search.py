@@ -17,6 +17,7 @@ from athlete_twin.geometry.arrays import Joints, PerLeg, Points2, Points3, Vec2,
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import LEGS
 from athlete_twin.model.statics import torque_fractions
@@ -398,7 +399,7 @@ def _try(
     if not (ok.all() and stands.all()):
         refused["descent_reach"] += 1
         return None
-    waypoints, checks = q_lift[None], 0
+    waypoints, tolerance, checks = q_lift[None], config.swing.corner_tolerance, 0
     if not request.on_the_spot:  # straight down again, where it came from: no way to plan
         path = plan_swing(
             collision, spec, q_break, q[1],
@@ -407,7 +408,7 @@ def _try(
         if not isinstance(path, SwingPath):
             refused[f"path_{path.reason}"] += 1
             return None
-        waypoints, checks = path.waypoints, path.checks
+        waypoints, tolerance, checks = path.waypoints, path.corner_tolerance, path.checks
 
     landed = belief.joints.copy()
     landed[leg] = standing_q[0]
@@ -449,6 +450,8 @@ def _try(
         footfall_in_world=np.asarray(place),
         lift_in_hex=lift_in_hex,
         swing=waypoints,
+        swing_corner_tolerance=tolerance,
+        swing_time=leg_timing(spec, np.concatenate([q_lift[None], waypoints]), corner_tolerance=tolerance).duration,
         descent_in_hex=ends[2],
         contact_load=touch.load_fraction * share,
         shift=shift,
