@@ -261,19 +261,18 @@ def test_a_payload_is_in_the_way_and_is_named(robot, where):
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_generators_below_refuse_a_leg_move_that_is_free_without_them(robot):
-    """The wheel goes inward under the chassis, as far as it goes without them."""
-    spec, joints = load_spec(robot), regular_stance(load_spec(robot))
-    wheel = stance_wheels_in_hex(spec)[0]
-    bare = LegCollision(spec, ground(), standing(robot), joints, 0, CollisionConfig())
+    """Leg 1 folds inward below the chassis."""
+    spec, joints, deep = load_spec(robot), regular_stance(load_spec(robot)), ground(lambda x, y: 0 * x - 9.0)
+    folded = np.deg2rad({"sdm_b": [0.0, 80.0, 100.0, 0.0, 20.0, 0.0], "t12": [0.0, 90.0, 80.0, 30.0, 0.0, 0.0, 0.0]}[robot])
+    move = joints[0] + np.linspace(0.0, 1.0, 60)[:, None] * (folded - joints[0])
+    above = CollisionConfig(payload_above=HABITAT)
     both = CollisionConfig(payload_above=HABITAT, payload_below=GENERATORS[robot])
-    loaded = LegCollision(spec, ground(), standing(robot), joints, 0, both)
-    raised = wheel + np.array([0.0, 0.0, 0.55 if robot == "sdm_b" else 0.75])
-    inward = raised * [0.3, 0.3, 1.0]
-    path, ok = leg_ik(spec, 0, raised + np.linspace(0.0, 1.0, 60)[:, None] * (inward - raised))
-    free = [q for q in path[ok] if bare.is_free(q)]
-    hits = [hit for q in free if (hit := loaded.first_collision(q)) is not None]
-    assert loaded.is_free(free[0]) and hits
-    assert all("payload_below" in hit and ("leg1_" in hit or "wheel1" in hit) for hit in hits)
+    without, with_them = (LegCollision(spec, deep, standing(robot), joints, 0, config) for config in (above, both))
+    assert all(without.is_free(q) for q in move)
+    hits = [with_them.first_collision(q) for q in move]
+    first = next(hit for hit in hits if hit is not None)
+    assert hits[0] is None and first == "wheel1 against payload_below"
+    assert with_them.refusal(move[-1]) == "own_leg_or_body"
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
