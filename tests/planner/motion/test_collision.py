@@ -277,7 +277,7 @@ def test_generators_below_refuse_a_leg_move_that_is_free_without_them(robot):
 
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_the_body_comes_down_on_a_rock_that_only_the_generators_reach(robot):
-    spec, joints = load_spec(robot), regular_stance(load_spec(robot))
+    spec = load_spec(robot)
     bottom = {"sdm_b": -0.217, "t12": 0.284}[robot] - GENERATORS[robot][2]
     rock = ground(lambda x, y: np.where(np.hypot(x, y) < 0.3, spec.chassis_height + bottom - 0.1, 0.0))
     loaded = CollisionConfig(payload_below=GENERATORS[robot])
@@ -298,9 +298,9 @@ def test_wrong_use_is_refused():
         LegCollision(spec, unknown, standing("sdm_b"), joints, 0, CollisionConfig())
     with pytest.raises(PlanningError, match=r"need \(6, 6\) and 0 to 5"):
         LegCollision(spec, ground(), standing("sdm_b"), joints, 6, CollisionConfig())
-    with pytest.raises(PlanningError, match="terrain_clearance is -0.1, must be finite and not negative"):
+    with pytest.raises(PlanningError, match=r"terrain_clearance is -0\.1, must be finite and not negative"):
         CollisionConfig(terrain_clearance=-0.1)
-    with pytest.raises(PlanningError, match="payload_below is .*three positive lengths"):
+    with pytest.raises(PlanningError, match=r"payload_below is .*three positive lengths"):
         CollisionConfig(payload_below=(1.0, 0.0, 0.4))
     with pytest.raises(PlanningError, match="table of clearances needs finite lengths"):
         ClearanceTable(same_leg=(), body=0.04, other_leg=0.06)
