@@ -229,9 +229,9 @@ class BodyCollision:
         placed = self._state.oMg
         centres_in_hex = np.array([placed[i].translation for i in range(len(self._parts.leg))])
         gaps = np.square(centres_in_hex[self._first] - centres_in_hex[self._second]).sum(axis=1)
-        for k in np.flatnonzero(gaps < self._reach2):
-            if pin.computeCollision(self._geometry, self._state, int(k)):
-                return _named(self._geometry, int(k))
+        for k in np.flatnonzero(gaps < self._reach2).tolist():
+            if pin.computeCollision(self._geometry, self._state, k):
+                return _named(self._geometry, k)
         centres = world_from_hex.apply(centres_in_hex[self._grounded])
         for k, close in zip(self._terrain_pairs, self._bound.may_touch(centres), strict=True):
             if close and pin.computeCollision(self._geometry, self._state, k):

@@ -64,7 +64,10 @@ class CollisionConfig:
     """of any two parts were all angles known: paths are checked every 0.01 rad, so that a leg's end of 3 m is at most 15 mm from a
     checked place [m]"""
     deviations: float = 3.0
-    """so many sigma of where two parts are are kept beside"""
+    """so many sigma of two parts' places are kept beside"""
+    map_deviations: float = 3.0
+    """so many sigma of a cell's height a swing keeps clear of over `part_clearance`, where that is more than `terrain_clearance`,
+    while it finds a way; 0 for one clearance everywhere, as in the paper"""
     encoder_sigma_deg: float = 0.1
     """of a joint's zero [deg]; EST, as good as they are aligned"""
     wind_up_sigma_deg: float = 0.14
@@ -81,7 +84,7 @@ class CollisionConfig:
 
     def __post_init__(self) -> None:
         named = (
-            "terrain_clearance", "near_ground_clearance", "max_wheel_sink", "part_clearance", "deviations", "encoder_sigma_deg",
+            "terrain_clearance", "near_ground_clearance", "max_wheel_sink", "part_clearance", "deviations", "map_deviations", "encoder_sigma_deg",
             "wind_up_sigma_deg", "dock_sigma_deg",
         )  # fmt: skip
         for name in named:
@@ -91,6 +94,11 @@ class CollisionConfig:
             box = getattr(self, name)
             if box is not None and not (len(box) == 3 and all(0.0 < v < np.inf for v in box)):
                 raise PlanningError(f"{name} is {box}, must be three positive lengths, such as (1.0, 0.8, 0.4)")
+
+    @property
+    def map_error_covered(self) -> float:
+        """Error of a cell's height that the one clearance from the terrain covers [m]."""
+        return max(self.terrain_clearance - self.part_clearance, 0.0)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
