@@ -84,8 +84,8 @@ class CollisionConfig:
 
     def __post_init__(self) -> None:
         named = (
-            "terrain_clearance", "near_ground_clearance", "max_wheel_sink", "part_clearance", "deviations", "map_deviations", "encoder_sigma_deg",
-            "wind_up_sigma_deg", "dock_sigma_deg",
+            "terrain_clearance", "near_ground_clearance", "max_wheel_sink", "part_clearance", "deviations", "map_deviations",
+            "encoder_sigma_deg", "wind_up_sigma_deg", "dock_sigma_deg",
         )  # fmt: skip
         for name in named:
             if not 0.0 <= getattr(self, name) < np.inf:
