@@ -90,6 +90,8 @@ class CollisionConfig:
         for name in named:
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise PlanningError(f"{name} is {getattr(self, name)}, must be finite and not negative")
+        if not isinstance(self.table, ClearanceTable | None):
+            raise PlanningError(f"table is {self.table!r}, must be a ClearanceTable; a variant's file sets the uncertainties instead")
         for name in ("payload_above", "payload_below"):
             box = getattr(self, name)
             if box is not None and not (len(box) == 3 and all(0.0 < v < np.inf for v in box)):
