@@ -61,7 +61,7 @@ class LegCollision:
         parts = robot_parts(spec.name, config)
         self._model, geometry, moved = _with_one_leg(parts, joints, leg)
         self._scratch = self._model.createData()
-        mine = [p for p in parts.pairs if (moved[p[0]] or moved[p[1]]) and self._may_meet(parts, geometry, moved, *p)]
+        mine = self._pairs_that_may_meet(parts, geometry, np.array(moved))
         # Close ones first, always checked; then those with other legs, most of them far apart.
         mine.sort(key=lambda pair: parts.between_legs(*pair[:2]))
         for i, j, _ in mine:
@@ -84,13 +84,16 @@ class LegCollision:
         for k in (*self._other_leg_pairs, *self._terrain_pairs):
             self._state.deactivateCollisionPair(k)
 
-    def _may_meet(self, parts: Parts, geometry: Any, moved: list[bool], i: int, j: int, margin: float) -> bool:
-        """Whether any angles of the moving leg bring a pair as near as its clearance."""
-        if not parts.between_legs(i, j):
-            return True
-        mover, standing = (i, j) if moved[i] else (j, i)
-        away = geometry.geometryObjects[standing].placement.translation - self.spec.hips_in_hex[self.leg]
-        return bool(np.linalg.norm(away) < parts.reach[mover] + parts.radii[standing] + margin)
+    def _pairs_that_may_meet(self, parts: Parts, geometry: Any, moved: np.ndarray) -> list[tuple[int, int, float]]:
+        """Those of the moving leg; of them with other legs, which any angles of it bring as near as their clearance."""
+        first, second, clearances, leg = parts.first, parts.second, parts.clearances, np.array(parts.leg)
+        mover, other = np.where(moved[first], first, second), np.where(moved[first], second, first)
+        placed = np.array([solid.placement.translation for solid in geometry.geometryObjects])
+        away = np.linalg.norm(placed[other] - self.spec.hips_in_hex[self.leg], axis=1)
+        near = away < parts.reach[mover] + parts.radii[other] + clearances
+        stands = (leg[other] >= 0) & (leg[other] != self.leg)
+        chosen = np.flatnonzero((moved[first] | moved[second]) & (near | ~stands))
+        return [parts.pairs[k] for k in chosen.tolist()]
 
     def _cull_other_legs(self, parts: Parts, mine: list[tuple[int, int, float]], moved: list[bool]) -> None:
         """Bounding spheres of the pairs with standing legs, for a quick look before the exact check."""
@@ -213,9 +216,8 @@ class BodyCollision:
             self._state.collisionRequests[k].security_margin = margin
         for k in self._terrain_pairs:
             self._state.collisionRequests[k].security_margin = config.near_ground_clearance
-        self._first, self._second = (np.array([pair[end] for pair in self._parts.pairs]) for end in (0, 1))
-        margins = np.array([margin for _, _, margin in self._parts.pairs])
-        self._reach2 = (self._parts.radii[self._first] + self._parts.radii[self._second] + margins) ** 2
+        parts = self._parts
+        self._reach2 = (parts.radii[parts.first] + parts.radii[parts.second] + parts.clearances) ** 2
 
     def is_free(self, joints: Joints, world_from_hex: SE3) -> bool:
         """Whether all parts keep their clearance, wheels against terrain excepted: they are planted."""
@@ -228,7 +230,7 @@ class BodyCollision:
         pin.updateGeometryPlacements(self._parts.model, self._scratch, self._geometry, self._state, q)
         placed = self._state.oMg
         centres_in_hex = np.array([placed[i].translation for i in range(len(self._parts.leg))])
-        gaps = np.square(centres_in_hex[self._first] - centres_in_hex[self._second]).sum(axis=1)
+        gaps = np.square(centres_in_hex[self._parts.first] - centres_in_hex[self._parts.second]).sum(axis=1)
         for k in np.flatnonzero(gaps < self._reach2).tolist():
             if pin.computeCollision(self._geometry, self._state, k):
                 return _named(self._geometry, k)

@@ -14,7 +14,7 @@ parts of two legs that no angles of their joints bring together.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import coal
@@ -124,6 +124,21 @@ class Parts:
     """solids and their clearance [m]"""
     q_of: np.ndarray
     """places of the legs' joints in pinocchio's configuration, shape (6, dof)"""
+
+    @cached_property
+    def first(self) -> np.ndarray:
+        """The first solid of each pair."""
+        return np.array([i for i, _, _ in self.pairs])
+
+    @cached_property
+    def second(self) -> np.ndarray:
+        """The second solid of each pair."""
+        return np.array([j for _, j, _ in self.pairs])
+
+    @cached_property
+    def clearances(self) -> np.ndarray:
+        """Of each pair [m]."""
+        return np.array([clearance for _, _, clearance in self.pairs])
 
     def between_legs(self, i: int, j: int) -> bool:
         """Whether two solids belong to different legs."""
