@@ -589,13 +589,15 @@ class GroundAgent:
             grid, variance = self._plane(belief)
             filled = cautious = grid
         else:
-            fused = without_spikes(self.eyes.map.fused(), config=config.spikes)
+            fused, collision = without_spikes(self.eyes.map.fused(), config=config.spikes), config.step.collision
             if config.unknown_terrain == "flat":
                 grid = filled = cautious = fused.filled("nearest").grid
             else:
                 # What nobody saw may hide a rock as high as the highest beside it, and a little more.
                 grid, filled = fused.grid, fused.filled("nearest").grid
-                cautious = fused.filled("highest", margin=UNKNOWN_RISE).grid
+                guessed = fused.filled("highest", margin=UNKNOWN_RISE)
+                # Where the map is vague a swing keeps farther off, so far that its clearance is of the vaguest height allowed for.
+                cautious = guessed.raised(collision.map_deviations, over=collision.map_error_covered).grid
             # A cell that is believed to be as high as its neighbours is believed to be sure; any other of which nobody knows is not.
             believed = fused.unknown & (config.unknown_terrain == "flat")
             variance = np.where(believed, 0.0, fused.variance)

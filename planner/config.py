@@ -24,7 +24,8 @@ A variant may also say, and need not:
     route = "straight"              # straight (towards the goal), map (round what the map refuses)
     driving = "off"                 # off, on (on the wheels where a route over the map says so)
 
-and a table `[settings.STAGE]` sets fields of that stage's configuration, such as `[settings.footfall] max_slope_deg = 15`.
+and a table `[settings.STAGE]` sets fields of that stage's configuration, such as `[settings.footfall] max_slope_deg = 15`. What is
+carried stands there too: `[settings.collision] payload_above = [2.2, 1.6, 1.5]`, and `payload_below` as at Moses Lake [m].
 """
 
 from __future__ import annotations

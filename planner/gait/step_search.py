@@ -107,7 +107,8 @@ class Ground:
     filled: HeightGrid
     """the same without NaN: unknown ground as the nearest known"""
     cautious: HeightGrid
-    """the same, unknown ground higher than the highest beside it: what a swing keeps clear of while it can"""
+    """the same, unknown ground higher than the highest beside it, vague ground by its doubt: what a swing keeps clear of while it
+    can"""
     footfalls: FootfallMap
 
 
