@@ -42,6 +42,7 @@ from athlete_twin.model.spec import RobotSpec
 from planner.footfall import METHODS as FOOTFALLS
 from planner.footfall import FootfallConfig
 from planner.footfall_scores import TYPICAL
+from planner.gait.aside import AsideConfig
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
 from planner.gait.skeleton import GaitConfig
@@ -113,6 +114,7 @@ SETTINGS: dict[str, type] = {
     "route": RouteConfig,
     "headings": HeadingConfig,
     "drive": DriveConfig,
+    "aside": AsideConfig,
 }
 
 
@@ -148,6 +150,7 @@ class PlannerConfig:
     route: RouteConfig = field(default_factory=RouteConfig)
     headings: HeadingConfig = field(default_factory=HeadingConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
+    aside: AsideConfig = field(default_factory=AsideConfig)
 
 
 def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) -> PlannerConfig:
@@ -227,6 +230,7 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         route=made["route"],
         headings=made["headings"],
         drive=made["drive"],
+        aside=made["aside"],
     )
 
 

@@ -62,6 +62,7 @@ def plan_shift(
     heading: Vec2,
     remaining: float,
     behind: float,
+    yaw: float = 0.0,
     filled: HeightGrid,
     gait: GaitConfig,
     stability: StabilityConfig,
@@ -82,6 +83,7 @@ def plan_shift(
         heading: direction of travel in world.
         remaining: distance to the goal [m].
         behind: what earlier shifts were cut short by [m].
+        yaw: that the chassis shall have in world [rad].
         filled: terrain without NaN.
         gait: its stride.
         stability: the rule.
@@ -96,18 +98,14 @@ def plan_shift(
     offsets = relaxing_offsets(
         kin, belief, landed_joints, leg=leg, next_leg=next_leg, next_change=next_change, config=limits.relax
     )
-    rise, turn = _mending(kin, belief, limits)
-    # Where the stance itself asks for more torque than the limit, a shift may go on asking for as much.
-    standing = _worst_torques(kin, pose, wheels_in_world, payload_kg)
-    allowed = np.full(LEGS, limits.max_torque_fraction) if standing is None else np.maximum(
-        limits.max_torque_fraction, standing + TORQUE_SLACK
-    )
+    rise, turn = _mending(kin, belief, limits, yaw)
+    allowed = allowed_torques(kin, pose, wheels_in_world, limits, payload_kg)
     refused = ""
     for fraction in FRACTIONS:
         for mend in (1.0, 0.0):
             move = np.append(fraction * wanted * heading, mend * rise)
             end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation + move)
-            refusal = _refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg)
+            refusal = stance_refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg)
             if not refusal:
                 return BodyShift(
                     translation_in_hex=pose.rotation.T @ move,
@@ -126,6 +124,43 @@ def plan_shift(
     )
 
 
+def allowed_torques(kin: Kinematics, world_from_hex: SE3, wheels_in_world: Wheels, limits: ShiftLimits, payload_kg: float) -> PerLeg:
+    """Peak torque fraction that a shift may end with, by lifted leg, shape (6,).
+
+    Where the stance itself asks for more torque than the limit, a shift may go on asking for as much.
+    """
+    standing = _worst_torques(kin, world_from_hex, wheels_in_world, payload_kg)
+    if standing is None:
+        return np.full(LEGS, limits.max_torque_fraction)
+    return np.asarray(np.maximum(limits.max_torque_fraction, standing + TORQUE_SLACK))
+
+
+def stance_refusal(
+    kin: Kinematics,
+    end: SE3,
+    wheels_in_world: Wheels,
+    contacts_in_world: Wheels,
+    stability: StabilityConfig,
+    allowed: PerLeg,
+    body: BodyCollision,
+    payload_kg: float,
+) -> str:
+    """What forbids the chassis to stand there; empty when nothing does. `allowed` are torque fractions by lifted leg."""
+    joints, ok = _stance_at(kin, end, wheels_in_world)
+    if not ok.all():
+        return f"reach of leg {int(np.argmin(ok)) + 1}"
+    com = end.apply(kin.com_in_hex(joints, payload_kg))
+    if cps_margin(com, contacts_in_world) < stability.min_margin:
+        return "CPS margin"
+    for leg in range(LEGS):
+        if support_margin(com, np.delete(contacts_in_world, leg, axis=0)) < stability.min_margin:
+            return f"margin with leg {leg + 1} lifted"
+    torques = _worst_torques(kin, end, wheels_in_world, payload_kg)
+    if torques is not None and (torques > allowed).any():
+        return f"torque with leg {int(np.argmax(torques - allowed)) + 1} lifted"
+    return body.first_collision(joints, end) or ""
+
+
 def _in_reach(kin: Kinematics, belief: Belief, landed_joints: Joints, leg: int, end: SE3, offsets: Wheels) -> Wheels:
     """The offsets, each as much of it as its leg can reach."""
     commanded = belief.motors.copy()
@@ -140,8 +175,8 @@ def _in_reach(kin: Kinematics, belief: Belief, landed_joints: Joints, leg: int, 
     return np.asarray(share[:, None] * offsets)
 
 
-def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits) -> tuple[float, np.ndarray]:
-    """Height to rise by [m] and rotation vector in world [rad] that bring the chassis back to its regular pose."""
+def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits, wanted_yaw: float) -> tuple[float, np.ndarray]:
+    """Height to rise by [m] and rotation vector in world [rad] that bring the chassis back to its regular height and attitude."""
     pose = belief.world_from_hex
     unsagged = pose.rotate(kin.wheels_in_hex(belief.motors))[:, 2]
     # Height of the hex origin over the contacts if no spring gave way: what commands speak of.
@@ -152,34 +187,8 @@ def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits) -> tuple[floa
     excess = max(0.0, float(np.linalg.norm(tilt)) - np.deg2rad(limits.level_deck_deg))
     level = tilt * (min(excess, limits.max_tilt) / max(float(np.linalg.norm(tilt)), 1e-12))
     yaw = float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
-    level[2] = float(np.clip(-yaw, -limits.max_yaw, limits.max_yaw))
+    level[2] = float(np.clip(-(yaw - wanted_yaw), -limits.max_yaw, limits.max_yaw))
     return rise, level
-
-
-def _refusal(
-    kin: Kinematics,
-    end: SE3,
-    wheels: Wheels,
-    contacts: Wheels,
-    stability: StabilityConfig,
-    allowed: PerLeg,
-    body: BodyCollision,
-    payload: float,
-) -> str:
-    """What forbids the chassis to stand there; empty when nothing does. `allowed` are torque fractions by lifted leg."""
-    joints, ok = _stance_at(kin, end, wheels)
-    if not ok.all():
-        return f"reach of leg {int(np.argmin(ok)) + 1}"
-    com = end.apply(kin.com_in_hex(joints, payload))
-    if cps_margin(com, contacts) < stability.min_margin:
-        return "CPS margin"
-    for leg in range(LEGS):
-        if support_margin(com, np.delete(contacts, leg, axis=0)) < stability.min_margin:
-            return f"margin with leg {leg + 1} lifted"
-    torques = _worst_torques(kin, end, wheels, payload)
-    if torques is not None and (torques > allowed).any():
-        return f"torque with leg {int(np.argmax(torques - allowed)) + 1} lifted"
-    return body.first_collision(joints, end) or ""
 
 
 def _stance_at(kin: Kinematics, world_from_hex: SE3, wheels: Wheels) -> tuple[Joints, np.ndarray]:

@@ -137,6 +137,8 @@ class StepRequest:
     """distance of the chassis from its goal [m]"""
     behind: float = 0.0
     """what earlier chassis shifts were cut short by [m]"""
+    yaw: float = 0.0
+    """that the chassis shall have in world [rad]"""
     footfall_xy: Vec2 | None = None
     """the operator's own choice; the gait's when None [m]"""
     wide: bool = False
@@ -432,8 +434,8 @@ def _try(
         kin, belief, leg=leg, next_leg=request.next_leg,
         next_change=_next_change(kin, springs, belief, landed, request, config, payload_kg),
         landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
-        remaining=request.remaining, behind=request.behind, filled=ground.filled, gait=config.gait, stability=config.stability,
-        limits=config.shift, collision=config.collision, payload_kg=payload_kg,
+        remaining=request.remaining, behind=request.behind, yaw=request.yaw, filled=ground.filled, gait=config.gait,
+        stability=config.stability, limits=config.shift, collision=config.collision, payload_kg=payload_kg,
     )  # fmt: skip
     poses, joints = [belief.world_from_hex], [belief.joints]
     for waypoint in (q_lift, *waypoints, q[0]):
