@@ -266,7 +266,7 @@ class GroundAgent:
         if sent.fault is not None:
             self._faulted(sent, sent.fault)
         elif sent.aside is not None:
-            self._asides.took(sent.aside)
+            self._asides.took(sent.aside.turn)
         elif sent.plan is not None:
             self.steps_taken += 1
             self.stepped[sent.plan.leg] += 1

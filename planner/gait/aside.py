@@ -114,11 +114,11 @@ class Asides:
         """That the chassis shall have in world [rad]."""
         return self._yaw if self._steps_left > 0 else 0.0
 
-    def took(self, plan: AsidePlan) -> None:
-        """A move was made."""
+    def took(self, turn: float) -> None:
+        """A move was made, turned to the left by so much [rad]."""
         self._taken += 1
-        if plan.turn != 0.0:
-            self._yaw, self._steps_left = self.yaw + plan.turn, self._config.steps_turned
+        if turn != 0.0:
+            self._yaw, self._steps_left = self.yaw + turn, self._config.steps_turned
 
     def give_up(self) -> None:
         """It was refused by the operator, or broke off: no other before the next step."""
