@@ -39,7 +39,7 @@ from planner.gait.aside import AsidePlan, Asides, NoAside, plan_aside
 from planner.gait.lift_and_look import raised_path
 from planner.gait.skeleton import regular_places, reverse_wave, stride
 from planner.gait.step_plan import BodyShift, StepPlan
-from planner.gait.step_search import Ground, StepRequest, search_step
+from planner.gait.step_search import Ground, StepRequest, on_path, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.recovery import LOWERINGS, Recovery
@@ -132,6 +132,8 @@ class GroundAgent:
         )  # fmt: skip
         """which way the gait goes, and the route it follows"""
         self._behind = 0.0
+        self._swayed: Vec3 | None = None if config.step.sway is None else np.zeros(3)
+        """by which the chassis is off its straight path, in world [m]"""
         self._surveyed = config.fusion_method == "flat"
         self._levelled = False
         self._looked: dict[int, Vec2] = {}
@@ -273,7 +275,10 @@ class GroundAgent:
             self.last_plan = sent.plan
             self._walks = not self.config.driving
             regular = stride(self.spec, self.config.step.gait) / LEGS
-            advance = float(np.linalg.norm(sent.plan.shift.translation_in_hex[:2]))
+            shift = sent.plan.shift
+            advance = float(np.linalg.norm((shift.translation_in_hex - shift.sway_in_hex)[:2]))
+            if self._swayed is not None:
+                self._swayed = self._swayed + sent.plan.preview_world_from_hex[0].rotate(shift.sway_in_hex)
             self._behind = max(0.0, self._behind + regular - advance)
             self._recovery.reset()
             self._asides.stepped()
@@ -355,7 +360,7 @@ class GroundAgent:
         if len(in_air) and self._recovery.lowers and self._attempt is not None:
             return self._lower(belief, ground, self._attempt, t)
         with self._timer("route"):
-            ways = self.guide.ways(belief, ground)
+            ways = self.guide.ways(replace(belief, world_from_hex=on_path(belief, self._swayed)), ground)
         forced_xy, self._forced_xy = self._forced_xy, None
         if not self._walks and self._forced_leg is None:
             drive = plan_drive(
@@ -418,6 +423,7 @@ class GroundAgent:
             remaining=way.remaining,
             behind=self._behind,
             yaw=self._asides.yaw,
+            swayed=self._swayed,
             footfall_xy=footfall_xy,
             refused_xy=self._recovery.refused_xy,
             extra_lift=self._recovery.extra_lift,
@@ -440,7 +446,7 @@ class GroundAgent:
             return NoAside(reason=self._asides.barred if standing else "", refused=Counter())
 
         def step_from(there: Belief, turn: float) -> StepPlan | None:
-            onward = self.guide.way_from(there, ground, way.aside)
+            onward = self.guide.way_from(replace(there, world_from_hex=on_path(there, self._swayed)), ground, way.aside)
             for leg in self._order(there, onward.heading, np.empty(0))[0]:
                 request = replace(self._request(there, onward, leg), yaw=self._asides.yaw + turn)
                 found = self._search(there, ground, request)
