@@ -36,10 +36,11 @@ from planner.config import PlannerConfig
 from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplink, Waiting
 from planner.eyes import Eyes, StageTimer, untimed
 from planner.footfall import FootfallMap, score_footfalls
+from planner.gait.aside import AsidePlan, Asides, NoAside, plan_aside
 from planner.gait.lift_and_look import raised_path
 from planner.gait.skeleton import regular_places, reverse_wave, stride
 from planner.gait.step_plan import BodyShift, StepPlan
-from planner.gait.step_search import Ground, StepRequest, search_step
+from planner.gait.step_search import Ground, StepRequest, on_path, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.motion.cornering import free_corner_tolerance
@@ -76,6 +77,7 @@ class _Sent:
     lift: StepPlan | None = None
     """the step of which only the lift-off was sent, to see what its leg hid"""
     drive: DrivePlan | None = None
+    aside: AsidePlan | None = None
     pairs: list[StereoPair] = field(default_factory=list)
     heard: bool = False
     """whether any receipt for it has come down"""
@@ -117,6 +119,8 @@ class GroundAgent:
         self._plan: StepPlan | None = None
         self._lift: StepPlan | None = None
         self._drive: DrivePlan | None = None
+        self._aside: AsidePlan | None = None
+        self._asides = Asides(config.aside)
         self._walks = not config.driving
         """until the next step is done: the operator refused to drive"""
         self._attempt: StepPlan | None = None
@@ -130,6 +134,8 @@ class GroundAgent:
         )  # fmt: skip
         """which way the gait goes, and the route it follows"""
         self._behind = 0.0
+        self._swayed: Vec3 | None = None if config.step.sway is None else np.zeros(3)
+        """by which the chassis is off its straight path, in world [m]"""
         self._surveyed = config.fusion_method == "flat"
         self._levelled = False
         self._looked: dict[int, Vec2] = {}
@@ -207,20 +213,23 @@ class GroundAgent:
             return None
         lift, self._lift = self._lift, None
         drive, self._drive = self._drive, None
+        aside, self._aside = self._aside, None
         self._proposal, self._plan = None, None
         if decision.kind == "approve":
-            return self._send(replace(proposal.sequence, t=t), plan, lift=lift, drive=drive)
+            return self._send(replace(proposal.sequence, t=t), plan, lift=lift, drive=drive, aside=aside)
         if decision.kind == "reject":
             refused = plan or lift
             if drive is not None:
                 self._walks = True
+            elif aside is not None:
+                self._asides.give_up()
             elif refused is None:
                 self._surveyed, self._recovery.retreat = True, None
             else:
                 self._recovery.refuse(refused)
         elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
-            if plan is None:  # a look around, a lift-off or a way back has no footfall: the proposal comes again
-                self._proposal, self._lift, self._drive = proposal, lift, drive
+            if plan is None:  # a look around, a lift-off, a move aside or a way back has no footfall: the proposal comes again
+                self._proposal, self._lift, self._drive, self._aside = proposal, lift, drive, aside
                 return None
             self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
             self._forced_leg = plan.leg
@@ -260,15 +269,21 @@ class GroundAgent:
             return
         if sent.fault is not None:
             self._faulted(sent, sent.fault)
+        elif sent.aside is not None:
+            self._asides.took(sent.aside.turn)
         elif sent.plan is not None:
             self.steps_taken += 1
             self.stepped[sent.plan.leg] += 1
             self.last_plan = sent.plan
             self._walks = not self.config.driving
             regular = stride(self.spec, self.config.step.gait) / LEGS
-            advance = float(np.linalg.norm(sent.plan.shift.translation_in_hex[:2]))
+            shift = sent.plan.shift
+            advance = float(np.linalg.norm((shift.translation_in_hex - shift.sway_in_hex)[:2]))
+            if self._swayed is not None:
+                self._swayed = self._swayed + sent.plan.preview_world_from_hex[0].rotate(shift.sway_in_hex)
             self._behind = max(0.0, self._behind + regular - advance)
             self._recovery.reset()
+            self._asides.stepped()
         self._belief = self._filter.update(self._telemetry)
         fresh = self.config.fusion_method
         if sent.pairs and (fresh == "single_view" or (fresh == "lift_and_image" and sent.lift is not None)):
@@ -304,6 +319,8 @@ class GroundAgent:
         plan = sent.plan or sent.lift
         if plan is None or self._telemetry is None:
             self._surveyed = True
+            if sent.aside is not None:
+                self._asides.give_up()
             self._recovery.attempts += 1
             return
         self._recovery.fault(fault, plan, self._telemetry.motors[plan.leg])
@@ -345,7 +362,7 @@ class GroundAgent:
         if len(in_air) and self._recovery.lowers and self._attempt is not None:
             return self._lower(belief, ground, self._attempt, t)
         with self._timer("route"):
-            ways = self.guide.ways(belief, ground)
+            ways = self.guide.ways(replace(belief, world_from_hex=on_path(belief, self._swayed)), ground)
         forced_xy, self._forced_xy = self._forced_xy, None
         if not self._walks and self._forced_leg is None:
             drive = plan_drive(
@@ -357,30 +374,20 @@ class GroundAgent:
         failed: list[tuple[Way, str, Counter[str]]] = []
         hidden: Counter[int] = Counter()
         looked = len(in_air) > 0
+        unmoved: NoAside | None = None
         for way, leg, cautious, wide, due in self._tries(belief, ways[: 1 if forced_xy is not None else None], in_air, ground):
             if not due and not looked:
                 looked = True
                 look = self._look_beneath(belief, ground, ways[0], hidden, t)
                 if look is not None:
                     return look
-            request = StepRequest(
-                leg=leg,
-                heading=way.heading,
-                remaining=way.remaining,
-                behind=self._behind,
-                footfall_xy=forced_xy,
-                refused_xy=self._recovery.refused_xy,
-                extra_lift=self._recovery.extra_lift,
-                next_leg=self._upcoming(belief, way.heading, leg)[0],
-                cautious=cautious,
-                wide=wide,
-            )
-            self._ground_s += SECONDS_PER_PLAN
-            with self._timer("plan"):
-                found = search_step(
-                    self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload,
-                    rng=self._rng,
-                )  # fmt: skip
+            if way is not ways[0] and unmoved is None:
+                aside = self._go_aside(belief, ground, ways[0], t)
+                if isinstance(aside, Proposal):
+                    return aside
+                unmoved = aside
+            request = self._request(belief, way, leg, cautious=cautious, wide=wide, footfall_xy=forced_xy)
+            found = self._search(belief, ground, request)
             if isinstance(found, StepPlan):
                 self._forced_leg = None
                 self.guide.took(way)
@@ -402,7 +409,70 @@ class GroundAgent:
             self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
         look = None if looked else self._look_beneath(belief, ground, ways[0], hidden, t)
-        return NoStep(reason=reason, refused=dict(refused)) if look is None else look
+        if look is not None:
+            return look
+        aside = self._go_aside(belief, ground, ways[0], t) if unmoved is None else unmoved
+        if isinstance(aside, Proposal):
+            return aside
+        return NoStep(reason=" | ".join(filter(None, (reason, aside.reason))), refused=dict(refused + aside.refused))
+
+    def _request(
+        self, belief: Belief, way: Way, leg: int, *, cautious: bool = True, wide: bool = True, footfall_xy: Vec2 | None = None
+    ) -> StepRequest:
+        return StepRequest(
+            leg=leg,
+            heading=way.heading,
+            remaining=way.remaining,
+            behind=self._behind,
+            yaw=self._asides.yaw,
+            swayed=self._swayed,
+            footfall_xy=footfall_xy,
+            refused_xy=self._recovery.refused_xy,
+            extra_lift=self._recovery.extra_lift,
+            next_leg=self._upcoming(belief, way.heading, leg)[0],
+            cautious=cautious,
+            wide=wide,
+        )
+
+    def _search(self, belief: Belief, ground: Ground, request: StepRequest) -> StepPlan | NoStep:
+        self._ground_s += SECONDS_PER_PLAN
+        with self._timer("plan"):
+            return search_step(
+                self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload, rng=self._rng
+            )
+
+    def _go_aside(self, belief: Belief, ground: Ground, way: Way, t: float) -> Proposal | NoAside:
+        """No leg finds a step the way the gait goes: the chassis out of the way, wheels down, if that gives one that is due a step."""
+        standing = bool(belief.planted.all())
+        if self._asides.barred or not standing:
+            return NoAside(reason=self._asides.barred if standing else "", refused=Counter())
+
+        def step_from(there: Belief, turn: float) -> StepPlan | None:
+            onward = self.guide.way_from(replace(there, world_from_hex=on_path(there, self._swayed)), ground, way.aside)
+            for leg in self._order(there, onward.heading, np.empty(0))[0]:
+                request = replace(self._request(there, onward, leg), yaw=self._asides.yaw + turn)
+                found = self._search(there, ground, request)
+                if isinstance(found, StepPlan):
+                    return found
+            return None
+
+        aside = plan_aside(
+            self.kin, belief, ground, way.heading, step_from, config=self.config.aside, step=self.config.step,
+            payload_kg=self._payload,
+        )  # fmt: skip
+        if isinstance(aside, NoAside):
+            return aside
+        self._aside = aside
+        self._proposal = Proposal(
+            index=self._next_proposal(), t=t, kind="shift", leg=-1,
+            footfall_in_world=aside.world_from_hex[-1].translation.copy(),
+            sequence=self._as_sequence([aside.command], t, cameras=self._cameras(None, belief)),
+            preview_joints=aside.preview_joints, preview_world_from_hex=aside.world_from_hex,
+            terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
+            cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
+            world_from_hex=belief.world_from_hex, predicted_margin=aside.margin, predicted_sag=0.0, text=aside.text,
+        )  # fmt: skip
+        return self._proposal
 
     def _look_beneath(self, belief: Belief, ground: Ground, way: Way, hidden: Counter[int], t: float) -> Action | None:
         """No leg that is due finds a step, some for want of seen ground, which a standing leg may hide: it is lifted for pictures.
@@ -417,11 +487,7 @@ class GroundAgent:
             if looked is not None and np.linalg.norm(place - looked) < self.config.step.gait.min_step:
                 continue
             request = StepRequest(leg=leg, heading=way.heading, remaining=way.remaining, on_the_spot=True)
-            self._ground_s += SECONDS_PER_PLAN
-            with self._timer("plan"):
-                found = search_step(
-                    self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload, rng=self._rng
-                )
+            found = self._search(belief, ground, request)
             if isinstance(found, StepPlan) and found.lift_in_hex is not None:
                 self._looked[leg] = place.copy()
                 return self._lift_first(found, belief, ground, t)
@@ -626,7 +692,7 @@ class GroundAgent:
         commands: list[Command] | None = None,
         text: str = "",
     ) -> Proposal:
-        cameras = self._cameras(plan, belief)
+        cameras = self._cameras(plan.leg, belief)
         sequence = self._as_sequence(step_commands(plan) if commands is None else commands, t, cameras=cameras)
         footfalls: FootfallMap = ground.footfalls
         x, y = plan.footfall_in_world[:2]
@@ -653,28 +719,29 @@ class GroundAgent:
         )
         return self._proposal
 
-    def _cameras(self, plan: StepPlan, belief: Belief) -> tuple[str, ...]:
-        """Which cameras look at the places where the next legs will step."""
+    def _cameras(self, leg: int | None, belief: Belief) -> tuple[str, ...]:
+        """Which cameras look at the places where the next legs will step, once `leg` has."""
         if self.config.fusion_method == "flat":
             return ()
         offset = self.goal - belief.world_from_hex.translation[:2]
         heading = offset / max(float(np.linalg.norm(offset)), 1e-9) if self.guide.heading is None else self.guide.heading
-        upcoming = self._upcoming(belief, heading, plan.leg)[:3]
+        upcoming = self._upcoming(belief, heading, leg)[:3]
         places = regular_places(self.spec, belief.world_from_hex) + 0.5 * stride(self.spec, self.config.step.gait) * heading
         names: dict[str, None] = {}
         hex_from_world = belief.world_from_hex.inverse()
         floor = float(np.mean(belief.contacts_in_world[:, 2]))
-        for leg in upcoming:
+        for coming in upcoming:
             for ahead in (0.0, stride(self.spec, self.config.step.gait)):
-                point: Vec3 = np.append(places[leg] + ahead * heading, floor)
+                point: Vec3 = np.append(places[coming] + ahead * heading, floor)
                 for name in seeing(self.spec, hex_from_world.apply(point), most=2):
                     names[name] = None
         return tuple(names)[: self.config.survey.each_step]
 
-    def _upcoming(self, belief: Belief, heading: Vec2, leg: int) -> list[int]:
-        """All legs in the order in which their turns come once `leg` has stepped."""
+    def _upcoming(self, belief: Belief, heading: Vec2, leg: int | None) -> list[int]:
+        """All legs in the order in which their turns come, once `leg` has stepped."""
         later = Counter(self.stepped)
-        later[leg] += 1
+        if leg is not None:
+            later[leg] += 1
         wave = reverse_wave(self.spec, (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2])
         return sorted(wave, key=lambda other: later[other])
 
@@ -687,10 +754,11 @@ class GroundAgent:
         return sequence
 
     def _send(
-        self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None, drive: DrivePlan | None = None
-    ) -> CommandSequence:
+        self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None, drive: DrivePlan | None = None,
+        aside: AsidePlan | None = None,
+    ) -> CommandSequence:  # fmt: skip
         awaited = sum(len(c.cameras) * len(c.brackets) for c in sequence.commands if isinstance(c, ImageRequest))
-        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive)
+        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive, aside=aside)
         if plan is not None or lift is not None:
             self._attempt = plan or lift
         if any(isinstance(c, JointMove) for c in sequence.commands):

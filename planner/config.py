@@ -14,7 +14,7 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
     leg_planner = "sbl"             # sbl, or one of OMPL's
     smoothing = "dijkstra_bisect"
     gait = "reverse_wave"
-    body_motion = "straight"
+    body_motion = "straight"        # straight, sway (off the path to where the next swing asks least of the joints, footfalls kept)
     touchdown = "guarded"
     unknown_terrain = "refuse"      # refuse, flat (an unknown cell is as high as its neighbours)
     level_deck_deg = 0.5
@@ -43,6 +43,8 @@ from athlete_twin.model.spec import RobotSpec
 from planner.footfall import METHODS as FOOTFALLS
 from planner.footfall import FootfallConfig
 from planner.footfall_scores import TYPICAL
+from planner.gait.aside import AsideConfig
+from planner.gait.body_sway import BodySwayConfig
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
 from planner.gait.skeleton import GaitConfig
@@ -81,7 +83,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "leg_planner": LEG_PLANNERS,
     "smoothing": ("dijkstra_bisect", "least_torque"),
     "gait": ("reverse_wave",),
-    "body_motion": ("straight",),
+    "body_motion": ("straight", "sway"),
     "touchdown": ("guarded",),
     "unknown_terrain": ("refuse", "flat"),
 }
@@ -114,6 +116,8 @@ SETTINGS: dict[str, type] = {
     "route": RouteConfig,
     "headings": HeadingConfig,
     "drive": DriveConfig,
+    "aside": AsideConfig,
+    "sway": BodySwayConfig,
 }
 
 
@@ -149,6 +153,7 @@ class PlannerConfig:
     route: RouteConfig = field(default_factory=RouteConfig)
     headings: HeadingConfig = field(default_factory=HeadingConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
+    aside: AsideConfig = field(default_factory=AsideConfig)
 
 
 def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) -> PlannerConfig:
@@ -222,12 +227,14 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
             swing=swing,
             leg_planner=chosen["leg_planner"],
             shift=made["shift"],
+            sway=made["sway"] if chosen["body_motion"] == "sway" else None,
         ),
         route_method=chosen["route"],
         driving=chosen["driving"] == "on",
         route=made["route"],
         headings=made["headings"],
         drive=made["drive"],
+        aside=made["aside"],
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class BodyShift:
     """of the wanted shift that reach, stability and terrain allow"""
     cut_by: str
     """what forbade the whole of it, height and attitude included; empty when nothing did"""
+    sway_in_hex: Vec3 = field(default_factory=lambda: np.zeros(3))
+    """the part of the translation that displaces the chassis from its straight path, or brings it back [m]"""
 
     @staticmethod
     def none() -> BodyShift:

@@ -24,6 +24,7 @@ from athlete_twin.model.statics import torque_fractions
 from planner.belief import Belief
 from planner.decisions import NoStep
 from planner.footfall import FootfallMap
+from planner.gait.body_sway import BodySwayConfig
 from planner.gait.shift import ShiftLimits, plan_shift
 from planner.gait.skeleton import GaitConfig, nominal_footfall, stride
 from planner.gait.step_plan import StepPlan
@@ -125,6 +126,8 @@ class StepConfig:
     swing: SwingConfig
     leg_planner: str
     shift: ShiftLimits
+    sway: BodySwayConfig | None = None
+    """how shifts leave the straight path for the next swing; None keeps to it"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -139,6 +142,10 @@ class StepRequest:
     """distance of the chassis from its goal [m]"""
     behind: float = 0.0
     """what earlier chassis shifts were cut short by [m]"""
+    yaw: float = 0.0
+    """that the chassis shall have in world [rad]"""
+    swayed: Vec3 | None = None
+    """by which the chassis is off its straight path, in world; the gait's footfalls lie about the path; None on it [m]"""
     footfall_xy: Vec2 | None = None
     """the operator's own choice; the gait's when None [m]"""
     wide: bool = False
@@ -291,7 +298,7 @@ def _candidates(
         target, radius = request.footfall_xy, 1.5 * grid.cell
     else:
         target = nominal_footfall(
-            spec, config.gait, leg=request.leg, world_from_hex=belief.world_from_hex, heading=request.heading,
+            spec, config.gait, leg=request.leg, world_from_hex=on_path(belief, request.swayed), heading=request.heading,
             remaining=request.remaining,
         )  # fmt: skip
         search = config.search
@@ -327,8 +334,9 @@ def _cost(
     kin: Kinematics, belief: Belief, ground: Ground, request: StepRequest, config: StepConfig, places: Points3
 ) -> np.ndarray:
     spec, search = kin.spec, config.search
+    path = on_path(belief, request.swayed)
     target = nominal_footfall(
-        spec, config.gait, leg=request.leg, world_from_hex=belief.world_from_hex, heading=request.heading,
+        spec, config.gait, leg=request.leg, world_from_hex=path, heading=request.heading,
         remaining=request.remaining,
     )  # fmt: skip
     if request.footfall_xy is not None:
@@ -338,7 +346,7 @@ def _cost(
     distance = np.linalg.norm(places[:, :2] - target, axis=1) / (search.radius_fraction * span)
     terrain = np.minimum(ground.footfalls.cost[ix, iy] / search.typical_terrain, 3.0)
     ahead = min(span, request.remaining)
-    later = SE3(belief.world_from_hex.rotation, belief.world_from_hex.translation + np.append(ahead * request.heading, 0.0))
+    later = SE3(path.rotation, path.translation + np.append(ahead * request.heading, 0.0))
     hex_from_world = later.inverse()
     _, holds = leg_ik(
         spec, request.leg, hex_from_world.apply(places + spec.wheel.radius * UP), last_link_in_hex=hex_from_world.rotate(-UP)
@@ -346,6 +354,12 @@ def _cost(
     return np.asarray(
         search.weight_distance * distance + search.weight_terrain * terrain + search.weight_future * ~holds
     )
+
+
+def on_path(belief: Belief, swayed: Vec3 | None) -> SE3:
+    """The chassis where its straight path has it."""
+    pose = belief.world_from_hex
+    return pose if swayed is None else SE3(pose.rotation, pose.translation - swayed)
 
 
 def _lifted(
@@ -434,8 +448,9 @@ def _try(
         kin, belief, leg=leg, next_leg=request.next_leg,
         next_change=_next_change(kin, springs, belief, landed, request, config, payload_kg),
         landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
-        remaining=request.remaining, behind=request.behind, filled=ground.filled, gait=config.gait, stability=config.stability,
-        limits=config.shift, collision=config.collision, payload_kg=payload_kg,
+        remaining=request.remaining, behind=request.behind, yaw=request.yaw, swayed=request.swayed,
+        sway=config.sway, filled=ground.filled, gait=config.gait, stability=config.stability, limits=config.shift,
+        collision=config.collision, payload_kg=payload_kg,
     )  # fmt: skip
     poses, joints = [belief.world_from_hex], [belief.joints]
     for waypoint in (q_lift, *waypoints, q[0]):

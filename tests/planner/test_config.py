@@ -122,3 +122,11 @@ def test_a_robots_drawings_say_what_its_maps_and_axles_are_believed_and_a_varian
 def test_a_soil_that_bears_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"\[settings.footfall\] soil_k is 0.0, must be positive"):
         planner_config(content("integrated") | {"settings": {"footfall": {"soil_k": 0.0}}}, load_spec("sdm_b"), name="x")
+
+
+def test_only_a_variant_that_sways_has_settings_of_sway():
+    assert planner_config(content("integrated"), load_spec("sdm_b"), name="x").step.sway is None
+    swaying = content("sway") | {"settings": {"sway": {"span": 0.05}}}
+    assert planner_config(swaying, load_spec("sdm_b"), name="x").step.sway.span == 0.05
+    changed = {key for key in CHOICES if content("sway")[key] != content("integrated")[key]}
+    assert changed == {"body_motion"}
