@@ -205,20 +205,13 @@ class Athlete:
         """Take what came up the link; returns the receipts this makes at once."""
         if self._breakage.dark(self.t):
             return []
-        made = self._tell(self.executive.accept(message))
-        if isinstance(message, Stop):
-            made.append(self._telemetry())
-        return made
+        return self._tell_and_report(self.executive.accept(message))
 
     def receive_raw(self, raw: bytes) -> list[Message]:
-        """Take bytes that came up the link; what is no command for this robot is refused with a receipt."""
+        """Take bytes that came up the link; what is no command for this robot is refused with a receipt, and telemetry behind it."""
         if self._breakage.dark(self.t):
             return []
-        stops = self.executive.state
-        made = self._tell(self.executive.accept_raw(raw))
-        if stops != self.executive.state:
-            made.append(self._telemetry())
-        return made
+        return self._tell_and_report(self.executive.accept_raw(raw))
 
     def advance(self, until: float) -> list[Message]:
         """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first.
@@ -366,6 +359,13 @@ class Athlete:
             e.kind == "fault" or (e.kind == "receipt" and e.command_index < 0) for e in control.events
         )
         if changed or (self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD):
+            made.append(self._telemetry())
+        return made
+
+    def _tell_and_report(self, events: list[Event]) -> list[Message]:
+        """What answers a message at once. Whoever stops the robot or is refused wants to know how far it is."""
+        made = self._tell(events)
+        if self.executive.state == "stopped" or any(e.status == "refused" for e in events):
             made.append(self._telemetry())
         return made
 

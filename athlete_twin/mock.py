@@ -95,18 +95,11 @@ class MockAthlete:
 
     def receive(self, message: CommandSequence | Stop) -> list[Message]:
         """Take what came up the link; the receipts this makes at once."""
-        made = self._tell(self.executive.accept(message))
-        if isinstance(message, Stop):
-            made.append(self._telemetry())
-        return made
+        return self._tell_and_report(self.executive.accept(message))
 
     def receive_raw(self, raw: bytes) -> list[Message]:
-        """Take bytes that came up the link; what is no command for this robot is refused with a receipt."""
-        state = self.executive.state
-        made = self._tell(self.executive.accept_raw(raw))
-        if state != self.executive.state:
-            made.append(self._telemetry())
-        return made
+        """Take bytes that came up the link; what is no command for this robot is refused with a receipt, and telemetry behind it."""
+        return self._tell_and_report(self.executive.accept_raw(raw))
 
     def advance(self, until: float) -> list[Message]:
         """Run to mission time `until` [s], or until something goes down, whichever comes first.
@@ -204,6 +197,13 @@ class MockAthlete:
         up = to_hex @ np.array([0.0, 0.0, 1.0])
         contacts = self.kin.wheels_in_hex(joints) - self.spec.wheel.radius * up
         return self.kin.gravity_torques(joints, -GRAVITY * up, self._loads[:, None] * up, contacts)
+
+    def _tell_and_report(self, events: list[Event]) -> list[Message]:
+        """What answers a message at once. Whoever stops the robot or is refused wants to know how far it is."""
+        made = self._tell(events)
+        if self.executive.state == "stopped" or any(e.status == "refused" for e in events):
+            made.append(self._telemetry())
+        return made
 
     def _tell(self, events: list[Event]) -> list[Message]:
         out: list[Message] = []

@@ -10,7 +10,7 @@ charged by a fixed table, so that results do not depend on the machine.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,8 +24,6 @@ from athlete_twin.messages import (
     JointMove,
     LegMove,
     Message,
-    Receipt,
-    StereoPair,
     Telemetry,
 )
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -50,6 +48,7 @@ from planner.route.guide import Guide, Way, refusals
 from planner.sequence import as_sequence, lower_commands, step_commands, straighten_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
+from planner.underway import Inbox, Underway
 
 SECONDS_PER_PLAN = 2.0
 """charged for planning one step [s]"""
@@ -60,29 +59,9 @@ STANDING_LOAD = 150.0
 UNKNOWN_RISE = 0.10
 """ground nobody saw is taken for so much higher than the highest beside it, for collisions: with the swing's own
 clearance rocks of 0.17 m (SDM-B) hide there without harm [m]"""
-LOST_AFTER = 60.0
-"""a sequence that nobody has acknowledged for so long is lost: three round trips over the slowest link [s]"""
 FLAT_RADIUS = 8.0
 """of the flat map of a variant without pictures [m]"""
 MAX_TORQUE_FRACTION = 1.0
-
-
-@dataclass(kw_only=True)
-class _Sent:
-    """The sequence that is up there."""
-
-    sequence: CommandSequence
-    plan: StepPlan | None
-    pairs_awaited: int
-    lift: StepPlan | None = None
-    """the step of which only the lift-off was sent, to see what its leg hid"""
-    drive: DrivePlan | None = None
-    aside: AsidePlan | None = None
-    pairs: list[StereoPair] = field(default_factory=list)
-    heard: bool = False
-    """whether any receipt for it has come down"""
-    done: bool = False
-    fault: Fault | None = None
 
 
 class GroundAgent:
@@ -114,7 +93,8 @@ class GroundAgent:
         self._rng = np.random.default_rng([seed, 7001])
         self._belief: Belief | None = None
         self._telemetry: Telemetry | None = None
-        self._sent: _Sent | None = None
+        self._sent: Underway | None = None
+        self._inbox = Inbox()
         self._proposal: Proposal | None = None
         self._plan: StepPlan | None = None
         self._lift: StepPlan | None = None
@@ -161,25 +141,17 @@ class GroundAgent:
         """How often every leg has stepped."""
         return min((self.stepped[leg] for leg in range(LEGS)), default=0)
 
-    def observe(self, message: Message, t: float) -> None:  # noqa: ARG002, messages carry the time that matters here
+    def observe(self, message: Message, t: float) -> None:
         """Take one message that came down and arrived at mission time `t` [s]."""
+        if not self._inbox.admits(message):
+            return
         if isinstance(message, Telemetry):
             self._telemetry = message
             if self._sent is None or self._belief is None:
                 self._belief = self._filter.update(message)
-        elif isinstance(message, StereoPair) and self._sent is not None:
-            self._sent.pairs.append(message)
-        elif isinstance(message, Fault):
-            if self._sent is not None and message.sequence_id == self._sent.sequence.sequence_id:
-                self._sent.fault = message
-        elif isinstance(message, Receipt) and self._sent is not None:
-            ours = message.sequence_id == self._sent.sequence.sequence_id
-            self._sent.heard |= ours
-            if ours and message.command_index >= 0 and message.status == "completed":
-                self._completed(message.command_index)
-            ended = message.status in ("failed", "cancelled") or (message.command_index < 0 and message.status == "completed")
-            if ours and ended:
-                self._sent.done = True
+        if self._sent is not None:
+            for index in self._sent.take(message, t):
+                self._completed(self._sent, index)
 
     def next(self, t: float) -> Action:
         """What to do now, at mission time `t` [s]."""
@@ -187,15 +159,15 @@ class GroundAgent:
             return NoStep(reason=self._stopped)
         if self._belief is None or self._telemetry is None:
             return Waiting(reason="first telemetry")
-        if self._sent is not None and not self._sent.heard and t - self._sent.sequence.t > LOST_AFTER:
-            # It never arrived: on the way up it was lost, or the executive was without power. Proposed again, as new.
-            self._sent = None
         if self._sent is not None:
             sent = self._sent
             settled = self._telemetry.executive_state != "executing" and self._telemetry.t >= sent.sequence.t
-            if not sent.done or not settled:
-                return Waiting(reason="telemetry: the robot moves" if not sent.done else "telemetry after the motion")
-            if sent.fault is None and len(sent.pairs) < sent.pairs_awaited:
+            if not sent.outcome or not settled:
+                if sent.silent(t):
+                    sent.sent(t)
+                    return Uplink(sequence=sent.sequence)
+                return Waiting(reason="telemetry: the robot moves" if not sent.outcome else "telemetry after the motion")
+            if sent.fault is None and len(sent.pairs) < sent.pairs_awaited and not sent.silent(t):
                 return Waiting(reason=f"pictures: {len(sent.pairs)} of {sent.pairs_awaited}")
             self._digest(sent)
             if self._stopped:
@@ -244,12 +216,9 @@ class GroundAgent:
 
     # --- what came down -------------------------------------------------------------------------------------------
 
-    def _completed(self, index: int) -> None:
+    def _completed(self, sent: Underway, index: int) -> None:
         """Keep track of which wheel stands while the receipts come in."""
-        if self._sent is None:
-            return
-        plan, commands = self._sent.plan or self._sent.lift, self._sent.sequence.commands
-        drive = self._sent.drive
+        plan, commands, drive = sent.plan or sent.lift, sent.sequence.commands, sent.drive
         if drive is not None and commands[index] is drive.command:
             self._filter.rolled(drive.contacts_in_world)
             self.eyes.filter.drove(float(np.linalg.norm(drive.way)))
@@ -262,13 +231,15 @@ class GroundAgent:
         elif guard == "contact":
             self._filter.land(plan.leg)
 
-    def _digest(self, sent: _Sent) -> None:
+    def _digest(self, sent: Underway) -> None:
         """A sequence has ended: update the belief, fuse its pictures, take note of a fault."""
         self._sent = None
         if self._telemetry is None:
             return
         if sent.fault is not None:
             self._faulted(sent, sent.fault)
+        elif sent.outcome != "completed":
+            pass  # refused: nothing has moved
         elif sent.aside is not None:
             self._asides.took(sent.aside.turn)
         elif sent.plan is not None:
@@ -311,7 +282,7 @@ class GroundAgent:
         self.eyes.map.lower(self._filter.settle(over, sigma=LEVEL_SIGMA))
         self._belief = self._filter.update(telemetry)
 
-    def _faulted(self, sent: _Sent, fault: Fault) -> None:
+    def _faulted(self, sent: Underway, fault: Fault) -> None:
         if sent.drive is not None and fault.command_index <= 0:
             # Telemetry holds no wheel angles: how far it rolled nobody knows.
             self._stopped = f"a drive broke off, where the robot stands is not known: {fault.text}"
@@ -758,7 +729,7 @@ class GroundAgent:
         aside: AsidePlan | None = None,
     ) -> CommandSequence:  # fmt: skip
         awaited = sum(len(c.cameras) * len(c.brackets) for c in sequence.commands if isinstance(c, ImageRequest))
-        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive, aside=aside)
+        self._sent = Underway(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive, aside=aside)
         if plan is not None or lift is not None:
             self._attempt = plan or lift
         if any(isinstance(c, JointMove) for c in sequence.commands):
