@@ -23,6 +23,7 @@ from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import stance_wheels_in_hex
+from athlete_twin.moment import Moment, taken
 from athlete_twin.moves import Sensed
 from athlete_twin.physics.body import Body, settled
 from athlete_twin.physics.truth import TrialTruth, draw_truth
@@ -50,6 +51,8 @@ EPISODE_GAP = 1.0
 """contacts of the same pair closer than this are one episode [s]"""
 TORQUE_FILTER = 0.1
 """[s]"""
+LASTING = ("spec", "scenario", "kin", "terrain", "trial", "world", "body", "on_view", "_eyes")
+"""attributes of an `Athlete` that never change, or, as the body, keep their own moments"""
 CLEAR_RADIUS = 0.45
 """round each wheel's first patch no rock is placed [m]"""
 
@@ -239,6 +242,23 @@ class Athlete:
     def close(self) -> None:
         """Free the physics client."""
         self.world.close()
+
+    def save(self) -> Moment:
+        """This moment: what follows `restore` of it equals what follows now, to the last bit.
+
+        Not while a hull touches something, see `Body.save`: that raises `PhysicsError`.
+        """
+        changing = {name: value for name, value in vars(self).items() if name not in LASTING}
+        return {"body": self.body.save(), "rest": taken(changing, (*self._lasting(), *self.track, *self.collisions))}
+
+    def restore(self, moment: Moment) -> None:
+        """Back to a moment that this robot saved, as often as wanted."""
+        self.body.restore(moment["body"])
+        rest = moment["rest"]
+        vars(self).update(taken(rest, (*self._lasting(), *rest["track"], *rest["collisions"])))
+
+    def _lasting(self) -> tuple[object, ...]:
+        return tuple(vars(self)[name] for name in LASTING)
 
     # --- truth, for scoring and films -----------------------------------------------------------------------------
 

@@ -11,7 +11,7 @@ from athlete_twin.geometry.arrays import Joints, LegJoints, PerLeg, Vec3, Wheels
 from athlete_twin.messages import Drive
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, RobotSpec
-from athlete_twin.moves import Move, MoveFailedError
+from athlete_twin.moves import MoveFailedError, Steps, copyable
 
 ACCELERATION = 0.3
 """of the chassis [m/s2]"""
@@ -21,7 +21,8 @@ PATCH_DEPTH = 0.2
 """a tyre pressed in by d rolls on R - 0.2 d: the mean height of its patch, weighted by depth"""
 
 
-def drive_move(kin: Kinematics, command: Drive, start: Joints, dt: float, wheel_rates: PerLeg) -> Move:
+@copyable
+def drive_move(kin: Kinematics, command: Drive, start: Joints, dt: float, wheel_rates: PerLeg) -> Steps:
     """All wheels along one line. Writes the wheels' rates on their forks into `wheel_rates`, shape (6,) [rad/s]."""
     spec = kin.spec
     if command.speed > spec.drive_speed * (1 + 1e-9):
@@ -79,7 +80,7 @@ def _rolling_in_hex(kin: Kinematics, joints: Joints) -> Wheels:
     return np.asarray(along / np.linalg.norm(along, axis=1, keepdims=True))
 
 
-def _steer(spec: RobotSpec, origin: Joints, target: Joints, dt: float) -> Move:
+def _steer(spec: RobotSpec, origin: Joints, target: Joints, dt: float) -> Steps:
     ticks = int(np.ceil(np.abs(target - origin).max() / (spec.speed_loaded * dt)))
     for k in range(1, ticks + 1):
         yield origin + (target - origin) * (k / ticks)

@@ -7,7 +7,7 @@ the legs stay where they are, the queue is empty, and the next sequence starts a
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -68,10 +68,6 @@ class _Running:
     index: int = 0
     move: Move | None = None
     dwell: float = 0.0
-    begun_at: Joints = field(default_factory=lambda: np.zeros(0))
-    """setpoint when the move began [rad]"""
-    felt: list[Sensed] = field(default_factory=list)
-    """what the move was told since then: a generator cannot be copied, but its past can be told again"""
 
 
 @dataclass(kw_only=True)
@@ -140,27 +136,6 @@ class Executive:
         sequence_id = message.sequence_id if isinstance(message, CommandSequence) else -1
         return Event(kind="receipt", sequence_id=sequence_id, command_index=-1, status="refused", text=text, cause=cause)
 
-    def branched(self) -> Executive:
-        """A copy that goes on from here by itself, the move in execution included."""
-        other = replace(
-            self, setpoint=self.setpoint.copy(), phases=list(self.phases), wheel_rates=self.wheel_rates.copy(),
-            _queue=deque(self._queue), ratcheted=set(self.ratcheted), _fraction=self._fraction.copy(),
-            _allowed_fraction=self._allowed_fraction.copy(), _running=None,
-        )  # fmt: skip
-        run = self._running
-        if run is None:
-            return other
-        other._running = replace(run, felt=list(run.felt))
-        if run.move is not None:
-            other.setpoint = run.begun_at
-            move = other._begin(run.sequence.commands[run.index])
-            for number in range(len(run.felt) + 1):
-                move.send(None if number == 0 else run.felt[number - 1])  # type: ignore[arg-type]
-            other._running.move = move
-            other.setpoint, other.phases = self.setpoint.copy(), list(self.phases)
-        other._swing_force = None if self._swing_force is None else self._swing_force.copy()
-        return other
-
     def brown_out(self) -> list[Event]:
         """Power is lost: the sequence and the queue with it. Brakes hold; what to tell once power is back."""
         run = self._running
@@ -214,10 +189,9 @@ class Executive:
                 events.append(Event(kind="capture", sequence_id=sequence_id, command_index=run.index, request=command))
         else:
             if run.move is None:
-                run.move, run.begun_at, run.felt = self._begin(command), self.setpoint, []
+                run.move = self._begin(command)
                 self.setpoint = next(run.move, self.setpoint)
                 return []
-            run.felt.append(sensed)
             try:
                 self.setpoint = run.move.send(sensed)
             except StopIteration:

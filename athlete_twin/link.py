@@ -15,7 +15,6 @@ from __future__ import annotations
 import heapq
 import math
 from dataclasses import dataclass
-from itertools import count
 
 import numpy as np
 
@@ -108,7 +107,7 @@ class DelayedLink:
         self._free_at = 0.0
         self._last_send = -math.inf
         self._last_arrival = 0.0
-        self._number = count()
+        self._number = 0
         self._under_way: list[tuple[float, int, _Flight]] = []
         """a heap: in the order of sending, or of arrival where messages may overtake each other"""
         self._retries: list[tuple[float, int, _Flight]] = []
@@ -131,7 +130,8 @@ class DelayedLink:
             losses = int(math.log(max(fate, 1e-300)) / math.log(config.loss))
         arriving = _damaged(raw, flip / config.corruption) if flip < config.corruption else raw
         flight = _Flight(arriving, late, losses, copy_late if double < config.duplication else None)
-        number = next(self._number)
+        number = self._number
+        self._number += 1
         if not config.reordering and not (lost and config.retry_after is None):
             heapq.heappush(self._under_way, (number, number, flight))
         self._transmit(number, flight, t)
@@ -177,7 +177,8 @@ class DelayedLink:
             heapq.heappush(self._under_way, (flight.arrival, number, flight))
             if flight.copy_late is not None:
                 copy = _Flight(flight.raw, 0.0, 0, None, flight.arrival + config.jitter * flight.copy_late)
-                heapq.heappush(self._under_way, (copy.arrival, next(self._number), copy))
+                heapq.heappush(self._under_way, (copy.arrival, self._number, copy))
+                self._number += 1
 
     def _retry_until(self, t: float) -> None:
         while self._retries and self._retries[0][0] <= t:
@@ -192,7 +193,7 @@ class DelayedLink:
         flights = {id(f): _Flight(f.raw, f.late, f.losses, f.copy_late, f.arrival) for f in known}
         later._under_way = [(key, number, flights[id(f)]) for key, number, f in self._under_way]
         later._retries = [(due, number, flights[id(f)]) for due, number, f in self._retries]
-        later._number = count(1 << 60)
+        later._number = self._number
         later._retry_until(math.inf)
         return later
 

@@ -21,6 +21,7 @@ from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Message,
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
+from athlete_twin.moment import Moment, taken
 from athlete_twin.moves import Sensed
 from athlete_twin.robot import ViewTruth
 from athlete_twin.world.injected import InjectedFault
@@ -82,6 +83,7 @@ class MockAthlete:
         wheels = self.kin.wheels_in_hex(self.executive.setpoint)
         self._anchors = wheels[:, :2].copy()
         self._loads = np.zeros(LEGS)
+        self._held_by: Joints | None = None
         self._world_from_hex = SE3.identity()
         self._settle()
         self._record_track()
@@ -125,6 +127,15 @@ class MockAthlete:
     def close(self) -> None:
         """Holds nothing."""
 
+    def save(self) -> Moment:
+        """This moment: what follows `restore` of it equals what follows now, to the last bit."""
+        changing = {name: value for name, value in vars(self).items() if name != "on_view"}
+        return taken(changing, (self.spec, self.kin, *self.track))
+
+    def restore(self, moment: Moment) -> None:
+        """Back to a moment that this robot saved, as often as wanted."""
+        vars(self).update(taken(moment, (self.spec, self.kin, *moment["track"])))
+
     def truth(self) -> MockTruth:
         """What is so now."""
         joints = self.executive.setpoint
@@ -135,8 +146,8 @@ class MockAthlete:
             motors=joints.copy(),
             torques=self._torques(),
             wheel_loads=self._loads.copy(),
-            wheels_in_world=self._world_from_hex.apply(self.kin.wheels_in_hex(joints)),
-            com_in_world=self._world_from_hex.apply(self.kin.com_in_hex(joints)),
+            wheels_in_world=self._world_from_hex.apply(self._wheels_in_hex),
+            com_in_world=self._world_from_hex.apply(self._com_in_hex),
             phases=tuple(self.executive.phases),
             moving=self.executive.busy,
             peak_torque_fraction=self.peak_torque_fraction,
@@ -172,6 +183,7 @@ class MockAthlete:
         """New chassis pose: height and tilt balance the weight on the springs, planted wheels keep their places."""
         joints = self.executive.setpoint
         wheels, com = self.kin.wheels_in_hex(joints), self.kin.com_in_hex(joints)
+        self._wheels_in_hex, self._com_in_hex, self._held_by = wheels, com, None
         self._height_tilt, self._loads = balance(
             wheels,
             com,
@@ -192,11 +204,13 @@ class MockAthlete:
         self._anchors = np.where(planted[:, None], self._anchors, here)
 
     def _torques(self) -> Joints:
-        joints = self.executive.setpoint
-        to_hex = self._world_from_hex.rotation.T
-        up = to_hex @ np.array([0.0, 0.0, 1.0])
-        contacts = self.kin.wheels_in_hex(joints) - self.spec.wheel.radius * up
-        return self.kin.gravity_torques(joints, -GRAVITY * up, self._loads[:, None] * up, contacts)
+        """What holds the legs where they settled last; computed once for each place where somebody asks."""
+        if self._held_by is None:
+            up = self._world_from_hex.rotation.T @ np.array([0.0, 0.0, 1.0])
+            contacts = self._wheels_in_hex - self.spec.wheel.radius * up
+            loads = self._loads[:, None] * up
+            self._held_by = self.kin.gravity_torques(self.executive.setpoint, -GRAVITY * up, loads, contacts)
+        return self._held_by.copy()
 
     def _tell_and_report(self, events: list[Event]) -> list[Message]:
         """What answers a message at once. Whoever stops the robot or is refused wants to know how far it is."""

@@ -7,8 +7,12 @@ their joints may; straight moves begin and end at their full speed, at most that
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable, Generator
+from contextlib import suppress
 from dataclasses import dataclass
+from functools import wraps
+from typing import Any, ParamSpec
 
 import numpy as np
 
@@ -55,7 +59,50 @@ class Sensed:
     """[rad]"""
 
 
-Move = Generator[Joints, Sensed, None]
+Steps = Generator[Joints, Sensed, None]
+Arguments = ParamSpec("Arguments")
+
+
+class Move:
+    """A motion under way that can be copied, which a generator cannot: the copy is led through what the original felt."""
+
+    def __init__(self, steps: Callable[..., Steps], *args: Any, **kwargs: Any) -> None:
+        self._make, self._args, self._kwargs = steps, args, kwargs
+        self._steps = steps(*args, **kwargs)
+        self._felt: list[Sensed | None] = []
+
+    def __iter__(self) -> Move:
+        return self
+
+    def __next__(self) -> Joints:
+        self._felt.append(None)
+        return next(self._steps)
+
+    def send(self, sensed: Sensed) -> Joints:
+        """The next motor angles, shape (6, dof) [rad]; `StopIteration` when there are none."""
+        self._felt.append(sensed)
+        return self._steps.send(sensed)
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Move:
+        # Arrays that the motion writes to, as a drive the wheels' rates, are those of the copy's own executive.
+        args, kwargs = copy.deepcopy((self._args, self._kwargs), memo)
+        other = Move(self._make, *args, **kwargs)
+        memo[id(self)] = other
+        other._felt = list(self._felt)
+        with suppress(StopIteration, MoveFailedError):
+            for felt in self._felt:
+                other._steps.send(felt)  # type: ignore[arg-type]  # the first is None: it begins
+        return other
+
+
+def copyable(steps: Callable[Arguments, Steps]) -> Callable[Arguments, Move]:
+    """A motion written as a generator, made a `Move`."""
+
+    @wraps(steps)
+    def begin(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Move:
+        return Move(steps, *args, **kwargs)
+
+    return begin
 
 
 def gravity_in_hex(attitude_rpy: Vec3) -> Vec3:
@@ -71,7 +118,8 @@ def vertical_load(kin: Kinematics, leg: int, sensed: Sensed) -> float:
     return float(-force @ gravity / GRAVITY)
 
 
-def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) -> Move:
+@copyable
+def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) -> Steps:
     """One leg through way-points in joint space, as fast as the unloaded speed and acceleration allow."""
     spec, leg = kin.spec, command.leg
     if command.waypoints.shape[1] != spec.dof:
@@ -96,7 +144,8 @@ def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) ->
         yield q
 
 
-def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Move:
+@copyable
+def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Steps:
     """One wheel along a straight line in hex, with its guard."""
     leg = command.leg
     pose = kin.leg_wheel(leg, start[leg])
@@ -144,7 +193,8 @@ def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Mov
             )
 
 
-def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> Move:
+@copyable
+def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> Steps:
     """The chassis along a line and about an axis; every wheel stays where it is, but for its commanded offset."""
     poses = [kin.leg_wheel(leg, start[leg]) for leg in range(LEGS)]
     wheels = np.array([p.translation for p in poses])

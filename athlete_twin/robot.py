@@ -14,6 +14,7 @@ import numpy as np
 from athlete_twin.geometry.arrays import DepthMap, Image, Joints, PerLeg, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Message, Stop
+from athlete_twin.moment import Moment
 from athlete_twin.world.injected import InjectedFault
 
 
@@ -176,3 +177,9 @@ class SimulatedRobot(Robot, Protocol):
 
     def truth(self) -> TruthView:
         """What is really so now."""
+
+    def save(self) -> Moment:
+        """This moment, to come back to; `PhysicsError` where it cannot be saved."""
+
+    def restore(self, moment: Moment) -> None:
+        """Back to a moment that this robot saved: what follows is the same to the last bit."""

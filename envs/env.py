@@ -6,25 +6,29 @@ truth; the observation never does.
 
 from __future__ import annotations
 
+import copy
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
 import gymnasium as gym
 import numpy as np
 
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import ConfigError, PhysicsError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
 from athlete_twin.messages import CommandSequence, Stop
 from athlete_twin.model.spec import RobotSpec, load_spec
-from athlete_twin.robot import SimulatedRobot
+from athlete_twin.moment import Moment, taken
+from athlete_twin.robot import SimulatedRobot, TruthView
 from athlete_twin.world.scenario import Scenario, load_scenario
+from envs.action_fields import Action, one_of
 from envs.build import check_unbroken, mock, twin
+from envs.episode import EpisodeState
 from envs.mission import Mission
-from envs.rewards import RewardConfig, StepTruth, reward
+from envs.rewards import RewardConfig, StepTruth, reward_terms
 from envs.scoring import ARRIVED, LOADED, TIPPED, tilt
 from envs.spaces import (
     KINDS,
-    Action,
     DownlinkView,
     Observation,
     chosen_cameras,
@@ -46,6 +50,20 @@ def link_pair(link: float | tuple[LinkConfig, LinkConfig] | None) -> tuple[LinkC
         return link
     delay = DEFAULT_DELAY if link is None else float(link)
     return uplink(delay), downlink(delay)
+
+
+@dataclass(kw_only=True)
+class Score:
+    """What the truth said after the last step."""
+
+    distance: float = 0.0
+    """to the goal [m]"""
+    collisions: int = 0
+    """so far"""
+    tipped: bool = False
+    at_goal: bool = False
+    terms: dict[str, float] = field(default_factory=dict)
+    """of the last step's reward"""
 
 
 class MissionEnv(gym.Env[Observation, Action]):
@@ -89,9 +107,8 @@ class MissionEnv(gym.Env[Observation, Action]):
         self._robot: SimulatedRobot | None = None
         self._mission: Mission | None = None
         self._grid: HeightGrid | None = None
-        self._tipped = False
-        self._distance = 0.0
-        self._collisions = 0
+        self._score = Score()
+        self._seed, self._inputs = 0, list[Any]()
 
     @property
     def mission(self) -> Mission:
@@ -106,35 +123,101 @@ class MissionEnv(gym.Env[Observation, Action]):
             return None
         return top_view(self._robot, self._grid, self.goal)
 
+    def save_state(self) -> EpisodeState:
+        """This moment of the episode: what follows `restore_state` of it equals what follows now, to the last bit.
+
+        Of what was sent or done past `step` (by `mission`, say) only the environment that saved knows, until its next
+        reset. The generators of the spaces are the caller's.
+        """
+        self.mission  # noqa: B018  (refuses before the first reset)
+        return EpisodeState(
+            made_with=self._made_with(), seed=self._seed, inputs=tuple(self._inputs), t=self.mission.t,
+            rng=copy.deepcopy(self._np_random), moment=self._taken(),
+        )  # fmt: skip
+
+    def restore_state(self, state: EpisodeState) -> tuple[Observation, dict[str, Any]]:
+        """Back to a saved moment, as often as wanted: its observation and info.
+
+        Costs milliseconds in the environment that saved it; after a reset, in another one made alike, while a hull touched
+        something, or with a ground inside, the episode is run again from its start.
+        """
+        state.check(self._made_with())
+        if state.moment is not None and state.moment["robot"] is self._robot:
+            self._put_back(state.moment)
+            self._inputs = list(state.inputs)
+        else:
+            self._begin(state.seed)
+            for message in state.inputs:
+                self._input(message)
+            if self.mission.t != state.t:
+                raise ConfigError(
+                    f"the episode was run again to {self.mission.t} s instead of {state.t} s: "
+                    "not all that happened in it went through step()"
+                )
+        self._np_random = copy.deepcopy(state.rng)
+        return self._observation(), self._info()
+
     def close(self) -> None:
         """Free the simulation."""
         if self._robot is not None:
             self._robot.close()
             self._robot = None
 
-    def _rebuild(self, seed: int | None) -> int:
-        """A fresh robot on fresh ground; the trial's seed.
+    def _reset(self, seed: int | None) -> None:
+        """A fresh episode; its seed is drawn where none is given."""
+        super().reset(seed=seed)
+        self._begin(int(self.np_random.integers(2**31)) if seed is None else seed)
+
+    def _begin(self, seed: int) -> None:
+        """A fresh robot on fresh ground.
 
         Everything is built anew: Bullet repeats itself bit by bit only then.
         """
-        super().reset(seed=seed)
-        trial_seed = int(self.np_random.integers(2**31)) if seed is None else seed
         self.close()
         if self._body == "mock":
             self._robot, self._grid = mock(self.drawings, self.scenario)
         else:
-            self._robot, self._grid = twin(self.drawings, self.scenario, trial_seed)
+            self._robot, self._grid = twin(self.drawings, self.scenario, seed)
         up, down = self.link
         self._mission = Mission(
             self._robot,
-            up=DelayedLink(up, np.random.default_rng([trial_seed, 1])),
-            down=DelayedLink(down, np.random.default_rng([trial_seed, 2])),
-            agent=self._agent(trial_seed),
+            up=DelayedLink(up, np.random.default_rng([seed, 1])),
+            down=DelayedLink(down, np.random.default_rng([seed, 2])),
+            agent=self._agent(seed),
             on_truth=lambda truth: self._watch(tilt(truth.world_from_hex)),
         )
-        self._tipped, self._collisions = False, 0
-        self._distance = self._goal_distance()
-        return trial_seed
+        self._seed, self._inputs = seed, []
+        self._score = Score(
+            distance=self._distance_of(self._robot.truth()), terms=reward_terms(StepTruth(), self._rewards)
+        )
+
+    def _made_with(self) -> dict[str, Any]:
+        """What makes two environments alike."""
+        return {
+            "robot": self.drawings.name,
+            "body": self._body,
+            "scenario": self.scenario.name,
+            "scenario's content": repr(self.scenario),
+            "link": self.link,
+            "cameras": self.cameras,
+            "step_s": self.step_s,
+            "rewards": self._rewards,
+        }
+
+    def _input(self, message: Any) -> Any:
+        """One step, with what its action meant."""
+        raise NotImplementedError
+
+    def _observation(self) -> Observation:
+        raise NotImplementedError
+
+    def _taken(self) -> Moment | None:
+        """Copies of all that changes, if that can be copied."""
+        return None
+
+    def _put_back(self, moment: Moment) -> None:
+        """Back to what `_taken` gave."""
+        raise NotImplementedError
 
     def _agent(self, seed: int) -> GroundAgent | None:
         """The ground inside, if any."""
@@ -146,41 +229,91 @@ class MissionEnv(gym.Env[Observation, Action]):
         return True
 
     def _watch(self, angle: float) -> None:
-        self._tipped |= angle > TIPPED
-
-    def _goal_distance(self) -> float:
-        at = self.mission.robot.truth().world_from_hex.translation[:2]
-        return float(np.linalg.norm(at - np.array(self.goal)))
+        self._score.tipped |= angle > TIPPED
 
     def _judged(self, begun: float) -> tuple[float, bool, bool, dict[str, Any]]:
         """Reward, terminated, truncated and info of a step that began at mission time `begun` [s]."""
         mission = self.mission
         truth = mission.robot.truth()
-        distance, collisions = self._goal_distance(), len(mission.robot.collisions)
+        distance, collisions = self._distance_of(truth), len(mission.robot.collisions)
+        tipped = self._score.tipped
         self._watch(tilt(truth.world_from_hex))
         stands = not mission.robot.busy and bool((truth.wheel_loads > LOADED).all())
         at_goal = distance <= ARRIVED and stands and self._declared()
         step = StepTruth(
-            nearer=self._distance - distance,
-            collisions=collisions - self._collisions,
+            nearer=self._score.distance - distance,
+            collisions=collisions - self._score.collisions,
             seconds=mission.t - begun,
-            tipped=self._tipped,
-            at_goal=at_goal,
+            tips=self._score.tipped and not tipped,
+            arrives=at_goal and not self._score.at_goal,
         )
-        self._distance, self._collisions = distance, collisions
-        info = self._info() | {"tip_over": self._tipped, "at_goal": at_goal, "collisions": collisions}
-        return reward(step, self._rewards), self._tipped or at_goal, mission.t >= self.time_limit, info
+        self._score.distance, self._score.collisions, self._score.at_goal = distance, collisions, at_goal
+        self._score.terms = reward_terms(step, self._rewards)
+        value = sum(self._score.terms.values())
+        return value, self._score.tipped or at_goal, mission.t >= self.time_limit, self._info()
+
+    def _distance_of(self, truth: TruthView) -> float:
+        return float(np.hypot(*(truth.world_from_hex.translation[:2] - self.goal)))
 
     def _info(self) -> dict[str, Any]:
+        score = self._score
         return {
             "mission_time_s": self.mission.t,
-            "goal_distance_m": self._distance,
             "uplinks": self.mission.counts.uplinks,
+            "truth": {
+                "goal_distance_m": score.distance,
+                "at_goal": score.at_goal,
+                "tip_over": score.tipped,
+                "collisions": score.collisions,
+                "reward_terms": dict(score.terms),
+            },
         }
 
 
 class UplinkEnv(MissionEnv):
-    """One robot at the end of a delayed link."""
+    """One robot at the end of a delayed link.
+
+    **Action**, a dict. `kind` says what goes up; the fields it does not use are ignored. Lengths and angles are scaled to
+    [-1, 1], float32; what lies beyond is taken as the bound, what is no finite number of the right shape is refused.
+
+    | field | space | meaning |
+    |---|---|---|
+    | `kind` | Discrete(7) | 0 nothing, 1 joint move, 2 leg move, 3 body move, 4 images, 5 stop, 6 drive |
+    | `leg` | Discrete(6) | leg of a joint or leg move: 0 is leg 1 |
+    | `joints` | Box(dof,) | motor angles to go to, from the lower to the upper limit of each joint; dof is 6 on SDM-B, 7 on T12 |
+    | `wheel` | Box(3,) | axle to go to in `hex`: the normal stance plus 1 m times this |
+    | `guard` | Discrete(3) | of a leg move: 0 none, 1 break contact, 2 contact (stops at 0.4 of a wheel's share of the weight) |
+    | `shift` | Box(3,) | of the chassis in `hex`, times 0.5 m |
+    | `turn` | Box(3,) | of the chassis in `hex`, rotation vector, times 0.2 rad |
+    | `drive` | Box(2,) | way of all wheels along x and y of `hex`, times 2 m |
+    | `cameras` | MultiBinary(n) | pairs to take, in the order of `env.unwrapped.cameras`, each side binned by 4; absent without cameras |
+
+    **Observation**, a dict of what has come down; all are copies, zero until something comes. float32 unless said otherwise.
+
+    | field | shape | unit, frame, range |
+    |---|---|---|
+    | `t` | (1,) | mission time [s] |
+    | `goal_in_world` | (2,) | x, y of the goal; the ground's `world` begins under the robot, x ahead [m] |
+    | `telemetry_age`, `fault_age` | (1,) | since the last was made on board [s]; 1e6 for never |
+    | `joints`, `motors` | (6, dof) | angles after and before the wind-up [rad], within 2 pi |
+    | `torques` | (6, dof) | over their limits, within 10 |
+    | `attitude_rpy` | (3,) | roll, pitch, yaw of `hex` by the inertial unit [rad], within 2 pi |
+    | `rates` | (3,) | angular velocity in `hex` [rad/s], within 10 |
+    | `acceleration` | (3,) | specific force in `hex` [m/s2], within 100 |
+    | `executive_state` | Discrete(5) | 0 unknown, 1 idle, 2 executing, 3 stopped, 4 fault |
+    | `receipt` | Discrete | status of the last receipt, by `envs.spaces.RECEIPTS`; 0 for none yet |
+    | `fault` | Discrete | code of the last fault, by `envs.spaces.FAULTS`; 0 for none yet |
+    | `image_present` | MultiBinary(n) | whether a pair of this camera has come down |
+    | `image_age` | (n,) | since it was taken [s]; 1e6 for never |
+    | `left`, `right` | (n, h, w) uint8 | grey pictures, rectified, one fixed slot a camera, zero until one comes |
+
+    The four image fields are absent without cameras (`cameras=()`), which is the cheaper environment.
+
+    **Reward**: the sum of `info["truth"]["reward_terms"]`; weights in `RewardConfig`, all zero but progress.
+    **Terminated**: tipped over by 30 degrees, or stands at the goal. **Truncated**: mission time has reached the limit.
+    **info**: `mission_time_s`; `uplinks` sent; `messages` that came down in this step; and `truth`, for scoring and never
+    for the agent: `goal_distance_m`, `at_goal`, `tip_over`, `collisions` so far and `reward_terms`.
+    """
 
     def __init__(
         self,
@@ -202,7 +335,7 @@ class UplinkEnv(MissionEnv):
             body: "twin", or "mock" for no physics on flat ground.
             scenario: name, path ending in .toml, or a scenario itself.
             link: one-way delay [s] on default links, or the up and down configuration; 5 s by default.
-            cameras: shown in observations and usable in actions; all by default.
+            cameras: shown in observations and usable in actions; all by default, none of an empty tuple.
             step_s: longest step, mission time [s].
             time_limit: mission time after which an episode is truncated [s]; the scenario's by default.
             render_mode: "rgb_array" for a view from above.
@@ -229,19 +362,17 @@ class UplinkEnv(MissionEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """A fresh robot; nothing has come down yet."""
         del options
-        self._rebuild(seed)
-        self._view = DownlinkView(self.drawings, self.cameras, self.goal)
-        self._sequences = 0
-        return self._view.observation(self.mission.t), self._info()
+        self._reset(seed)
+        return self._observation(), self._info() | {"messages": []}
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Send what the action says, and wait."""
-        if KINDS[int(action["kind"])] == "stop":
-            return self.step_message(Stop(seq=self._next(), robot_id=self.drawings.name, t=self.mission.t, reason="action"))
+        """Send what the action says, and wait. An action that cannot be read raises `CommandError` and changes nothing."""
         command = command_of(action, self.drawings, self.cameras)
+        if KINDS[one_of(action, "kind", len(KINDS))] == "stop":
+            return self.step_message(Stop(seq=self._sequences, robot_id=self.drawings.name, t=self.mission.t, reason="action"))
         if command is None:
             return self.step_message(None)
-        number = self._next()
+        number = self._sequences
         return self.step_message(
             CommandSequence(
                 seq=number, robot_id=self.drawings.name, t=self.mission.t, sequence_id=number, commands=(command,)
@@ -255,12 +386,39 @@ class UplinkEnv(MissionEnv):
         begun = self.mission.t
         if message is not None:
             self.mission.send(message)
+        self._inputs.append(message)
+        self._sequences += message is not None
         arrived = self.mission.advance(begun + self.step_s, stop_at_downlink=True)
         for down in arrived:
             self._view.take(down)
         value, terminated, truncated, info = self._judged(begun)
-        return self._view.observation(self.mission.t), value, terminated, truncated, info | {"messages": arrived}
+        return self._observation(), value, terminated, truncated, info | {"messages": arrived}
 
-    def _next(self) -> int:
-        self._sequences += 1
-        return self._sequences - 1
+    def _begin(self, seed: int) -> None:
+        super()._begin(seed)
+        self._view = DownlinkView(self.drawings, self.cameras, self.goal)
+        self._sequences = 0
+
+    def _input(self, message: CommandSequence | Stop | None) -> Any:
+        return self.step_message(message)
+
+    def _observation(self) -> Observation:
+        return self._view.observation(self.mission.t)
+
+    def _taken(self) -> Moment | None:
+        mission = self.mission
+        try:
+            robot = mission.robot.save()
+        except PhysicsError:  # a hull touches something: seed and inputs have to do
+            return None
+        mine = (self._view, self._score, self._sequences)
+        return {"robot": mission.robot, "saved": robot, "ours": taken({"mission": vars(mission), "env": mine}, self._lasting())}
+
+    def _put_back(self, moment: Moment) -> None:
+        self.mission.robot.restore(moment["saved"])
+        ours = taken(moment["ours"], self._lasting())
+        vars(self.mission).update(ours["mission"])
+        self._view, self._score, self._sequences = ours["env"]
+
+    def _lasting(self) -> tuple[object, ...]:
+        return (self.mission.robot, self.drawings)

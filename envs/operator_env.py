@@ -15,10 +15,11 @@ import numpy as np
 from athlete_twin.link import LinkConfig
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.world.scenario import Scenario
+from envs.action_fields import Action, flags, one_of, units
 from envs.build import ground_agent, variant_content
 from envs.env import Body, MissionEnv
 from envs.rewards import RewardConfig
-from envs.spaces import Action, Observation
+from envs.spaces import FAR, NEVER, Observation, bounded
 from planner.decisions import DECISIONS, Decision, DecisionKind, GroundAgent, Proposal
 
 PREVIEW_POSES = 16
@@ -35,7 +36,41 @@ AgentMaker = Callable[[RobotSpec, tuple[float, float], int], GroundAgent]
 
 
 class OperatorEnv(MissionEnv):
-    """One robot, its ground, and a vacant operator's chair."""
+    """One robot, its ground, and a vacant operator's chair.
+
+    **Action**, a dict: the decision on the standing proposal. Fields that the kind does not use are ignored; while no
+    proposal stands only a stop has an effect.
+
+    | field | space | meaning |
+    |---|---|---|
+    | `kind` | Discrete | by `planner.decisions.DECISIONS` |
+    | `footfall` | Box(2,) in [-1, 1] | edited footfall: believed chassis plus 4 m times this along x and y of `world` |
+    | `leg` | Discrete(6) | to step with: 0 is leg 1 |
+    | `cameras` | MultiBinary(n) | to look with, in the order of `env.unwrapped.cameras`; none is a wait. Absent without cameras |
+    | `wait` | Box(1,) in [-1, 1] | from 0.1 to 60 s |
+
+    **Observation**, a dict of what the ground proposes and believes; all are copies, all zero while no proposal stands.
+    `world` is the ground's own. float32 unless said otherwise; a transform is translation [m] and rotation vector [rad].
+
+    | field | shape | unit, frame, range |
+    |---|---|---|
+    | `t` | (1,) | mission time [s] |
+    | `goal_in_world` | (2,) | x, y [m] |
+    | `present` | Discrete(2) | whether a proposal stands |
+    | `kind` | Discrete(3) | 0 none, 1 step, 2 shift |
+    | `leg` | Discrete(7) | 0 none, 1 to 6 as the papers number them |
+    | `footfall_in_world` | (3,) | place of the patch [m] |
+    | `predicted_margin`, `predicted_sag` | (1,) | [m]; 0 for not known |
+    | `world_from_hex` | (6,) | believed chassis |
+    | `preview_joints` | (16, 6, dof) | of the motion, evenly spaced [rad] |
+    | `preview_world_from_hex` | (16, 6) | the same of the chassis |
+    | `map_height` | (80, 80) | cells of 0.1 m round the believed chassis, first index along x of `world` [m] |
+    | `map_known`, `map_green` | (80, 80) uint8 | whether seen, whether a wheel may stand there |
+
+    **Reward**, **truncated** and `info["truth"]` as with `UplinkEnv`. **Terminated**: tipped over, at the goal, or the
+    ground has said its last word (`info["arrived"]`, `info["no_step"]`), or the operator has stopped it.
+    **info**: besides, `text` of the proposal or of the last word, `waiting_for`.
+    """
 
     def __init__(
         self,
@@ -90,19 +125,21 @@ class OperatorEnv(MissionEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """A fresh robot and a ground that knows nothing yet."""
         del options
-        self._rebuild(seed)
+        self._reset(seed)
         return self._observation(), self._info()
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Answer the standing proposal as the action says, and wait for the next."""
         standing = self.mission.standing
         if standing is None:
-            return self.step_decision(Decision(kind="stop") if DECISIONS[int(action["kind"])] == "stop" else None)
+            stops = DECISIONS[one_of(action, "kind", len(DECISIONS))] == "stop"
+            return self.step_decision(Decision(kind="stop") if stops else None)
         return self.step_decision(decision_of(action, standing, self.cameras, idle=self.step_s))
 
     def step_decision(self, decision: Decision | None) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """The same as `step` with a decision object; None while no proposal stands."""
         mission, begun = self.mission, self.mission.t
+        self._inputs.append(decision)
         if mission.wants_answer:
             mission.answer(decision or Decision(kind="wait", duration=self.step_s))
         elif decision is not None and decision.kind == "stop":
@@ -135,18 +172,24 @@ class OperatorEnv(MissionEnv):
             "no_step": mission.no_step is not None,
         }
 
+    def _made_with(self) -> dict[str, Any]:
+        return super()._made_with() | {"variant": self._variant}
+
+    def _input(self, message: Decision | None) -> Any:
+        return self.step_decision(message)
+
     def _observation(self) -> Observation:
         return observed(self.proposal, self.drawings, self.mission.t, self.goal)
 
 
 def decision_space(cameras: int) -> gym.spaces.Dict:
-    """The operator's decisions. Keys that a kind does not use are ignored."""
+    """The operator's decisions, as `OperatorEnv` documents them. Without cameras there is no key for them."""
     return gym.spaces.Dict(
         {
             "kind": gym.spaces.Discrete(len(DECISIONS)),
             "footfall": gym.spaces.Box(-1.0, 1.0, (2,), np.float32),
             "leg": gym.spaces.Discrete(LEGS),
-            "cameras": gym.spaces.MultiBinary(cameras),
+            **({"cameras": gym.spaces.MultiBinary(cameras)} if cameras else {}),
             "wait": gym.spaces.Box(-1.0, 1.0, (1,), np.float32),
         }
     )
@@ -156,50 +199,51 @@ def decision_of(action: Action, proposal: Proposal, cameras: tuple[str, ...], *,
     """The decision an action means.
 
     Args:
-        action: out of `decision_space`.
+        action: out of `decision_space`; only the fields that the kind uses are read.
         proposal: it answers.
         cameras: what the action's camera flags stand for.
         idle: a choice of no camera is a wait of so long [s].
     """
-    kind = cast(DecisionKind, DECISIONS[int(action["kind"])])
+    kind = cast(DecisionKind, DECISIONS[one_of(action, "kind", len(DECISIONS))])
     if kind == "edit_footfall":
-        unit = np.clip(np.asarray(action["footfall"], dtype=float), -1.0, 1.0)
+        unit = units(action, "footfall", 2)
         xy = proposal.world_from_hex.translation[:2] + 0.5 * MAP_CELLS * MAP_CELL * unit
         height = float(proposal.terrain.sample(xy))
         z = height if np.isfinite(height) else float(proposal.footfall_in_world[2])
         return Decision(kind=kind, footfall_in_world=np.append(xy, z))
     if kind == "choose_leg":
-        return Decision(kind=kind, leg=int(action["leg"]))
+        return Decision(kind=kind, leg=one_of(action, "leg", LEGS))
     if kind == "choose_cameras":
-        named = tuple(c for c, wanted in zip(cameras, np.asarray(action["cameras"]), strict=True) if wanted)
+        wanted = flags(action, "cameras", len(cameras)) if cameras else ()
+        named = tuple(c for c, chosen in zip(cameras, wanted, strict=True) if chosen)
         return Decision(kind=kind, cameras=named) if named else Decision(kind="wait", duration=idle)
     if kind == "wait":
-        share = 0.5 * (float(np.clip(np.asarray(action["wait"])[0], -1.0, 1.0)) + 1.0)
+        share = 0.5 * (float(units(action, "wait", 1)[0]) + 1.0)
         return Decision(kind=kind, duration=max(share * MAX_WAIT, 0.1))
     return Decision(kind=kind)
 
 
 def proposal_space(spec: RobotSpec) -> gym.spaces.Dict:
-    """The proposal, its preview and the green-and-red map; all zero while no proposal stands."""
+    """The proposal, its preview and the green-and-red map, as `OperatorEnv` documents them."""
     k, n = PREVIEW_POSES, MAP_CELLS
 
-    def free(*shape: int) -> gym.spaces.Box:
-        return gym.spaces.Box(-np.inf, np.inf, shape, np.float32)
+    def within(bound: float, *shape: int) -> gym.spaces.Box:
+        return gym.spaces.Box(-bound, bound, shape, np.float32)
 
     return gym.spaces.Dict(
         {
-            "t": gym.spaces.Box(0.0, np.inf, (1,), np.float32),
-            "goal_in_world": free(2),
+            "t": gym.spaces.Box(0.0, NEVER, (1,), np.float32),
+            "goal_in_world": within(FAR, 2),
             "present": gym.spaces.Discrete(2),
             "kind": gym.spaces.Discrete(len(KINDS)),
             "leg": gym.spaces.Discrete(LEGS + 1),
-            "footfall_in_world": free(3),
-            "predicted_margin": free(1),
-            "predicted_sag": free(1),
-            "world_from_hex": free(6),
-            "preview_joints": free(k, LEGS, spec.dof),
-            "preview_world_from_hex": free(k, 6),
-            "map_height": free(n, n),
+            "footfall_in_world": within(FAR, 3),
+            "predicted_margin": within(FAR, 1),
+            "predicted_sag": within(FAR, 1),
+            "world_from_hex": within(FAR, 6),
+            "preview_joints": within(2 * np.pi, k, LEGS, spec.dof),
+            "preview_world_from_hex": within(FAR, k, 6),
+            "map_height": within(FAR, n, n),
             "map_known": gym.spaces.Box(0, 1, (n, n), np.uint8),
             "map_green": gym.spaces.Box(0, 1, (n, n), np.uint8),
         }
@@ -214,8 +258,8 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
     """
     k, n = PREVIEW_POSES, MAP_CELLS
     out: Observation = {
-        "t": np.array([t], dtype=np.float32),
-        "goal_in_world": np.array(goal, dtype=np.float32),
+        "t": np.array([min(t, NEVER)], dtype=np.float32),
+        "goal_in_world": bounded(goal, FAR),
         "present": np.int64(proposal is not None),
         "kind": np.int64(0),
         "leg": np.int64(0),
@@ -242,13 +286,13 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
     out |= {
         "kind": np.int64(KINDS.index(proposal.kind)),
         "leg": np.int64(proposal.leg + 1),
-        "footfall_in_world": proposal.footfall_in_world.astype(np.float32),
-        "predicted_margin": np.nan_to_num(np.array([proposal.predicted_margin], dtype=np.float32)),
-        "predicted_sag": np.nan_to_num(np.array([proposal.predicted_sag], dtype=np.float32)),
+        "footfall_in_world": bounded(proposal.footfall_in_world, FAR),
+        "predicted_margin": bounded(np.nan_to_num([proposal.predicted_margin]), FAR),
+        "predicted_sag": bounded(np.nan_to_num([proposal.predicted_sag]), FAR),
         "world_from_hex": _six(here),
-        "preview_joints": proposal.preview_joints[rows].astype(np.float32),
+        "preview_joints": bounded(proposal.preview_joints[rows], 2 * np.pi),
         "preview_world_from_hex": np.array([_six(p) for p in poses]),
-        "map_height": np.where(known, heights, 0.0).astype(np.float32),
+        "map_height": bounded(np.where(known, heights, 0.0), FAR),
         "map_known": known.astype(np.uint8),
         "map_green": (known & proposal.footfall_ok[ix, iy]).astype(np.uint8),
     }
@@ -256,4 +300,4 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
 
 
 def _six(outer_from_inner: Any) -> np.ndarray:
-    return np.concatenate([outer_from_inner.translation, outer_from_inner.rotvec()]).astype(np.float32)
+    return bounded(np.concatenate([outer_from_inner.translation, outer_from_inner.rotvec()]), FAR)

@@ -1,4 +1,4 @@
-"""Reward of one step from the truth: progress towards the goal, less collisions and time."""
+"""Reward of one step from the truth, as a sum of named terms. Only progress counts by default."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class RewardConfig:
-    """Weights; the signs are in the names."""
+    """Weights; the signs are in the names. A task's designer adds what matters to it."""
 
     progress: float = 1.0
     """for a metre nearer to the goal"""
-    collision_cost: float = 1.0
+    collision_cost: float = 0.0
     """for each contact episode"""
-    tip_over_cost: float = 10.0
+    tip_over_cost: float = 0.0
     """once"""
-    goal: float = 10.0
+    goal: float = 0.0
     """once, when the robot stands at the goal"""
-    second_cost: float = 1e-4
+    second_cost: float = 0.0
     """for a second of mission time: 3 m take about 1,500 s of motion"""
 
 
@@ -25,22 +25,24 @@ class RewardConfig:
 class StepTruth:
     """What a step changed."""
 
-    nearer: float
+    nearer: float = 0.0
     """by so much the true chassis came nearer to the goal [m]"""
-    collisions: int
+    collisions: int = 0
     """that began"""
-    seconds: float
+    seconds: float = 0.0
     """of mission time"""
-    tipped: bool
-    at_goal: bool
+    tips: bool = False
+    """whether it tipped over in this step"""
+    arrives: bool = False
+    """whether it came to stand at the goal in this step"""
 
 
-def reward(step: StepTruth, config: RewardConfig) -> float:
-    """Sum of the terms."""
-    return (
-        config.progress * step.nearer
-        - config.collision_cost * step.collisions
-        - config.second_cost * step.seconds
-        - config.tip_over_cost * step.tipped
-        + config.goal * step.at_goal
-    )
+def reward_terms(step: StepTruth, config: RewardConfig) -> dict[str, float]:
+    """What each term gives, by the names of the weights; the reward is their sum."""
+    return {
+        "progress": config.progress * step.nearer,
+        "collision_cost": -config.collision_cost * step.collisions,
+        "tip_over_cost": -config.tip_over_cost * step.tips,
+        "goal": config.goal * step.arrives,
+        "second_cost": -config.second_cost * step.seconds,
+    }

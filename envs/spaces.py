@@ -11,7 +11,6 @@ import cv2
 import gymnasium as gym
 import numpy as np
 
-from athlete_twin.errors import ConfigError
 from athlete_twin.messages import (
     EXECUTIVE_STATES,
     RECEIPT_STATES,
@@ -29,6 +28,7 @@ from athlete_twin.messages import (
 )
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import stance_wheels_in_hex
+from envs.action_fields import Action, flags, one_of, units
 
 KINDS = ("nothing", "joint_move", "leg_move", "body_move", "images", "stop", "drive")
 """what the action's `kind` counts"""
@@ -46,21 +46,22 @@ TURN_SPAN = 0.2
 CONTACT_SHARE = 0.4
 """of a wheel's share of the weight: the load that ends a guarded descent"""
 NEVER = 1e6
-"""age of what has not come down yet [s]"""
+"""age of what has not come down yet, and the longest time shown [s]"""
+FAR = 1e4
+"""bound of places in world [m]"""
 
 RECEIPTS = ("none", *RECEIPT_STATES)
 FAULTS = (
     "none", "torque_limit", "tilt", "no_contact", "contact_not_broken", "unreachable", "bad_command", "brown_out", "swing_contact",
-    "ratchet_slip",
+    "ratchet_slip", "other",
 )  # fmt: skip
 STATES = ("unknown", *EXECUTIVE_STATES)
 
-Action = dict[str, Any]
 Observation = dict[str, Any]
 
 
 def uplink_action_space(spec: RobotSpec, cameras: tuple[str, ...]) -> gym.spaces.Dict:
-    """What can go up in one step: nothing, one command, an image request or a stop. Keys that a kind does not use are ignored."""
+    """What can go up in one step, as `UplinkEnv` documents it. Without cameras there is no key for them."""
     return gym.spaces.Dict(
         {
             "kind": gym.spaces.Discrete(len(KINDS)),
@@ -71,128 +72,116 @@ def uplink_action_space(spec: RobotSpec, cameras: tuple[str, ...]) -> gym.spaces
             "shift": _unit(3),
             "turn": _unit(3),
             "drive": _unit(2),
-            "cameras": gym.spaces.MultiBinary(len(cameras)),
+            **({"cameras": gym.spaces.MultiBinary(len(cameras))} if cameras else {}),
         }
     )
 
 
 def command_of(action: Action, spec: RobotSpec, cameras: tuple[str, ...]) -> Command | None:
-    """The command an action means; None for nothing, a stop, or an image request that names no camera."""
-    kind = KINDS[int(action["kind"])]
-    leg = int(action["leg"])
+    """The command an action means; None for nothing, a stop, or an image request that names no camera.
+
+    Only the fields that the kind uses are read. What lies outside [-1, 1] is taken as the bound; what is no number, not
+    finite or of another shape raises `CommandError` with the field's name.
+    """
+    kind = KINDS[one_of(action, "kind", len(KINDS))]
     if kind == "joint_move":
-        unit = np.asarray(action["joints"], dtype=float)
-        angles = spec.lower + 0.5 * (np.clip(unit, -1.0, 1.0) + 1.0) * (spec.upper - spec.lower)
-        return JointMove(leg=leg, waypoints=angles[None])
+        angles = spec.lower + 0.5 * (units(action, "joints", spec.dof) + 1.0) * (spec.upper - spec.lower)
+        return JointMove(leg=one_of(action, "leg", LEGS), waypoints=angles[None])
     if kind == "leg_move":
-        guard = GUARD_NAMES[int(action["guard"])]
-        target = stance_wheels_in_hex(spec)[leg] + WHEEL_SPAN * np.clip(np.asarray(action["wheel"], dtype=float), -1, 1)
+        leg, guard = one_of(action, "leg", LEGS), GUARD_NAMES[one_of(action, "guard", len(GUARD_NAMES))]
+        target = stance_wheels_in_hex(spec)[leg] + WHEEL_SPAN * units(action, "wheel", 3)
         share = spec.mass * 9.81 / LEGS
         load = CONTACT_SHARE * share if guard == "contact" else 0.0
         return LegMove(leg=leg, wheel_in_hex=target, guard=guard, contact_load=load)
     if kind == "body_move":
-        shift, turn = (np.clip(np.asarray(action[k], dtype=float), -1.0, 1.0) for k in ("shift", "turn"))
+        shift, turn = units(action, "shift", 3), units(action, "turn", 3)
         return BodyMove(translation_in_hex=SHIFT_SPAN * shift, rotvec_in_hex=TURN_SPAN * turn)
     if kind == "drive":
-        way = DRIVE_SPAN * np.clip(np.asarray(action["drive"], dtype=float), -1.0, 1.0)
-        return Drive(translation_in_hex=way, speed=spec.drive_speed)
-    if kind == "images":
-        named = tuple(c for c, wanted in zip(cameras, np.asarray(action["cameras"]), strict=True) if wanted)
+        return Drive(translation_in_hex=DRIVE_SPAN * units(action, "drive", 2), speed=spec.drive_speed)
+    if kind == "images" and cameras:
+        named = tuple(c for c, wanted in zip(cameras, flags(action, "cameras", len(cameras)), strict=True) if wanted)
         return ImageRequest(cameras=named, binning=BINNING) if named else None
     return None
 
 
 def downlink_space(spec: RobotSpec, cameras: tuple[str, ...]) -> gym.spaces.Dict:
-    """What has come down by now, each with its age."""
-    height, width = image_size(spec, cameras)
-    n = len(cameras)
-    return gym.spaces.Dict(
-        {
-            "t": _box(0.0, np.inf, (1,)),
-            "goal_in_world": _box(-np.inf, np.inf, (2,)),
-            "telemetry_age": _box(0.0, NEVER, (1,)),
-            "joints": _box(-2 * np.pi, 2 * np.pi, (LEGS, spec.dof)),
-            "motors": _box(-2 * np.pi, 2 * np.pi, (LEGS, spec.dof)),
-            "torques": _box(-10.0, 10.0, (LEGS, spec.dof)),
-            "attitude_rpy": _box(-2 * np.pi, 2 * np.pi, (3,)),
-            "rates": _box(-10.0, 10.0, (3,)),
-            "acceleration": _box(-100.0, 100.0, (3,)),
-            "executive_state": gym.spaces.Discrete(len(STATES)),
-            "receipt": gym.spaces.Discrete(len(RECEIPTS)),
-            "fault": gym.spaces.Discrete(len(FAULTS)),
-            "fault_age": _box(0.0, NEVER, (1,)),
+    """What has come down by now, each with its age, as `UplinkEnv` documents it."""
+    bounds: dict[str, gym.spaces.Space] = {
+        "t": _box(0.0, NEVER, (1,)),
+        "goal_in_world": _box(-FAR, FAR, (2,)),
+        "telemetry_age": _box(0.0, NEVER, (1,)),
+        **{name: _box(-bound, bound, shape) for name, (bound, shape) in _telemetry_bounds(spec).items()},
+        "executive_state": gym.spaces.Discrete(len(STATES)),
+        "receipt": gym.spaces.Discrete(len(RECEIPTS)),
+        "fault": gym.spaces.Discrete(len(FAULTS)),
+        "fault_age": _box(0.0, NEVER, (1,)),
+    }
+    if cameras:
+        n, (height, width) = len(cameras), image_size(spec, cameras)
+        bounds |= {
             "image_present": gym.spaces.MultiBinary(n),
             "image_age": _box(0.0, NEVER, (n,)),
             "left": gym.spaces.Box(0, 255, (n, height, width), np.uint8),
             "right": gym.spaces.Box(0, 255, (n, height, width), np.uint8),
         }
-    )
+    return gym.spaces.Dict(bounds)
 
 
 class DownlinkView:
-    """Keeps the last of each kind of message and turns it into an observation."""
+    """Keeps what the last of each kind of message said, as arrays, and hands out copies."""
 
     def __init__(self, spec: RobotSpec, cameras: tuple[str, ...], goal: tuple[float, float]) -> None:
         self.spec, self.cameras = spec, cameras
-        self._goal = np.array(goal, dtype=np.float32)
-        self._telemetry: Telemetry | None = None
-        self._receipt: Receipt | None = None
-        self._fault: Fault | None = None
-        self._pairs: dict[str, StereoPair] = {}
-        height, width = image_size(spec, cameras)
-        self._images = np.zeros((2, len(cameras), height, width), dtype=np.uint8)
+        self._bounds = {name: bound for name, (bound, _) in _telemetry_bounds(spec).items()}
+        self._kept: dict[str, np.ndarray] = {"goal_in_world": bounded(goal, FAR)}
+        self._kept |= {name: np.zeros(shape, np.float32) for name, (_, shape) in _telemetry_bounds(spec).items()}
+        self._counts = {"executive_state": np.int64(0), "receipt": np.int64(0), "fault": np.int64(0)}
+        self._said_at: dict[str, float] = {}
+        """when telemetry, fault and each camera's pair were made [s]"""
+        if cameras:
+            slots = (len(cameras), *image_size(spec, cameras))
+            self._kept |= {"left": np.zeros(slots, np.uint8), "right": np.zeros(slots, np.uint8)}
 
     def take(self, message: Message) -> None:
         """Remember a message that has come down."""
         if isinstance(message, Telemetry):
-            self._telemetry = message
+            for name, bound in self._bounds.items():
+                value = message.torques / self.spec.torque_limits if name == "torques" else getattr(message, name)
+                self._kept[name] = bounded(value, bound)
+            self._counts["executive_state"] = np.int64(STATES.index(message.executive_state))
+            self._said_at["telemetry"] = message.t
         elif isinstance(message, Receipt):
-            self._receipt = message
+            self._counts["receipt"] = np.int64(RECEIPTS.index(message.status))
         elif isinstance(message, Fault):
-            self._fault = message
+            self._counts["fault"] = np.int64(FAULTS.index(message.code if message.code in FAULTS else "other"))
+            self._said_at["fault"] = message.t
         elif isinstance(message, StereoPair) and message.camera in self.cameras and message.bracket == 0:
-            self._pairs[message.camera] = message
-            k = self.cameras.index(message.camera)
-            size = self._images.shape[:1:-1]
-            for side, image in enumerate((message.left, message.right)):
+            self._said_at[message.camera] = message.t
+            for side, image in (("left", message.left), ("right", message.right)):
+                slot = self._kept[side][self.cameras.index(message.camera)]
                 grey = (image >> (message.bits - 8)).astype(np.uint8)
-                self._images[side, k] = cv2.resize(grey, size, interpolation=cv2.INTER_AREA)
+                slot[:] = cv2.resize(grey, slot.shape[::-1], interpolation=cv2.INTER_AREA)
 
     def observation(self, t: float) -> Observation:
-        """What has come down by mission time `t` [s]. Torques are over their limits, the rest in SI units."""
-        spec, last = self.spec, self._telemetry
-        zeros = np.zeros((LEGS, spec.dof), dtype=np.float32)
-        torques = zeros if last is None else np.clip(last.torques / spec.torque_limits, -10.0, 10.0)
-        fault = self._fault.code if self._fault else "none"
-        present = [c in self._pairs for c in self.cameras]
-        ages = [t - self._pairs[c].t if c in self._pairs else NEVER for c in self.cameras]
-        return {
-            "t": _f32([t]),
-            "goal_in_world": self._goal.copy(),
-            "telemetry_age": _age(t, last),
-            "joints": zeros if last is None else _bounded(last.joints, 2 * np.pi),
-            "motors": zeros if last is None else _bounded(last.motors, 2 * np.pi),
-            "torques": _f32(torques),
-            "attitude_rpy": _f32(np.zeros(3)) if last is None else _bounded(last.attitude_rpy, 2 * np.pi),
-            "rates": _f32(np.zeros(3)) if last is None else _bounded(last.rates, 10.0),
-            "acceleration": _f32(np.zeros(3)) if last is None else _bounded(last.acceleration, 100.0),
-            "executive_state": np.int64(STATES.index(last.executive_state) if last else 0),
-            "receipt": np.int64(RECEIPTS.index(self._receipt.status) if self._receipt else 0),
-            "fault": np.int64(FAULTS.index(fault)),
-            "fault_age": _age(t, self._fault),
-            "image_present": np.array(present, dtype=np.int8),
-            "image_age": _f32(np.clip(ages, 0.0, NEVER)),
-            "left": self._images[0].copy(),
-            "right": self._images[1].copy(),
-        }
+        """What has come down by mission time `t` [s]."""
+        out: Observation = {name: kept.copy() for name, kept in self._kept.items()}
+        out |= self._counts
+        out["t"] = np.array([min(t, NEVER)], np.float32)
+        out["telemetry_age"] = np.array([self._age("telemetry", t)], np.float32)
+        out["fault_age"] = np.array([self._age("fault", t)], np.float32)
+        if self.cameras:
+            out["image_present"] = np.array([c in self._said_at for c in self.cameras], np.int8)
+            out["image_age"] = np.array([self._age(c, t) for c in self.cameras], np.float32)
+        return out
+
+    def _age(self, name: str, t: float) -> float:
+        return min(max(t - self._said_at[name], 0.0), NEVER) if name in self._said_at else NEVER
 
 
 def chosen_cameras(spec: RobotSpec, cameras: tuple[str, ...] | list[str] | None) -> tuple[str, ...]:
-    """Names of the cameras an environment shows: those given, or all of the robot."""
+    """Names of the cameras an environment shows: those given, none of an empty tuple, all of the robot by default."""
     if cameras is None:
         return tuple(c.name for c in spec.cameras)
-    if not cameras:
-        raise ConfigError(f"cameras is empty; {spec.name} has: {', '.join(c.name for c in spec.cameras)}")
     return tuple(spec.camera(name).name for name in cameras)
 
 
@@ -210,14 +199,20 @@ def _box(low: float, high: float, shape: tuple[int, ...]) -> gym.spaces.Box:
     return gym.spaces.Box(low, high, shape, np.float32)
 
 
-def _f32(values: Any) -> np.ndarray:
-    return np.asarray(values, dtype=np.float32)
+def bounded(values: Any, bound: float) -> np.ndarray:
+    """Values as float32 within plus and minus a bound: rounded to float32 the bound itself may lie outside a space."""
+    limit = np.float32(bound)
+    return np.asarray(np.minimum(np.maximum(np.asarray(values, dtype=np.float32), -limit), limit))
 
 
-def _bounded(values: np.ndarray, bound: float) -> np.ndarray:
-    # Rounded to float32 the bound itself may lie outside the space.
-    return np.asarray(np.clip(_f32(values), np.float32(-bound), np.float32(bound)))
-
-
-def _age(t: float, message: Message | None) -> np.ndarray:
-    return _f32([NEVER if message is None else min(max(t - message.t, 0.0), NEVER)])
+def _telemetry_bounds(spec: RobotSpec) -> dict[str, tuple[float, tuple[int, ...]]]:
+    """Bound and shape of each field that an observation takes from telemetry."""
+    per_joint = (LEGS, spec.dof)
+    return {
+        "joints": (2 * np.pi, per_joint),
+        "motors": (2 * np.pi, per_joint),
+        "torques": (10.0, per_joint),
+        "attitude_rpy": (2 * np.pi, (3,)),
+        "rates": (10.0, (3,)),
+        "acceleration": (100.0, (3,)),
+    }

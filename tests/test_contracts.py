@@ -97,6 +97,13 @@ def test_planner_opens_no_file() -> None:
         assert not opening, f"{path.relative_to(ROOT)} opens a file: {sorted(opening)}"
 
 
+def test_ground_never_reads_the_truth_of_an_environment() -> None:
+    # `info["truth"]` is for scores; an agent that looked there would know where it is.
+    for path, tree in sources("planner"):
+        keys = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+        assert "truth" not in keys, path
+
+
 def test_library_reads_no_clock_no_environment_and_no_network() -> None:
     forbidden = {"datetime", "random", "socket", "urllib", "requests", "secrets", "os.environ", "os.getenv"}
     forbidden |= {"time.time", "time.sleep", "time.monotonic"}

@@ -104,10 +104,10 @@ class Kinematics:
         torques = np.asarray(pin.computeGeneralizedGravity(self.pin_model, self.pin_data, q)).copy()
         pin.computeJointJacobians(self.pin_model, self.pin_data, q)
         pin.updateFramePlacements(self.pin_model, self.pin_data)
-        for leg, frame in enumerate(self._wheel_frames):
+        arms = contact_in_hex - [self.pin_data.oMf[frame].translation for frame in self._wheel_frames]
+        wrenches = np.concatenate([wheel_forces_in_hex, np.cross(arms, wheel_forces_in_hex)], axis=1)
+        for wrench, frame in zip(wrenches, self._wheel_frames, strict=True):
             jacobian = pin.getFrameJacobian(self.pin_model, self.pin_data, frame, pin.LOCAL_WORLD_ALIGNED)
-            arm = contact_in_hex[leg] - self.pin_data.oMf[frame].translation
-            wrench = np.concatenate([wheel_forces_in_hex[leg], np.cross(arm, wheel_forces_in_hex[leg])])
             torques -= jacobian.T @ wrench
         return np.asarray(torques[self._q_of])
 

@@ -38,8 +38,9 @@ def proposal(agent: GroundAgent, t: float) -> Proposal:
 
 def receipt(sequence: CommandSequence, status: str) -> Receipt:
     return Receipt(
-        seq=10 * sequence.sequence_id + len(status), robot_id=sequence.robot_id, t=2.0, sequence_id=sequence.sequence_id, command_index=-1, status=status
-    )
+        seq=10 * sequence.sequence_id + len(status), robot_id=sequence.robot_id, t=2.0, sequence_id=sequence.sequence_id,
+        command_index=-1, status=status,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("code", ["ratchet_slip", "gremlins"])
