@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from athlete_twin.errors import RecordingError
-from envs.recorder import read_recording, recorded_downlinks
+from envs.recording import read_recording, recorded_downlinks
 from envs.schemas import Json
 from planner.decisions import Decision, GroundAgent, Proposal
 
