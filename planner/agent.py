@@ -33,7 +33,7 @@ from planner.belief import Belief, BeliefFilter
 from planner.config import PlannerConfig
 from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplink, Waiting
 from planner.eyes import Eyes, StageTimer, untimed
-from planner.footfall import FootfallMap, score_footfalls
+from planner.footfall import FootfallMap, score_footfalls, unknown_share
 from planner.gait.aside import AsidePlan, Asides, NoAside, plan_aside
 from planner.gait.lift_and_look import raised_path
 from planner.gait.skeleton import regular_places, reverse_wave, stride
@@ -574,6 +574,7 @@ class GroundAgent:
             terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
+            predicted_torque_fraction=plan.peak_torque_fraction, predicted_clearance=plan.lift_clearance,
             text=f"leg {plan.leg + 1} lifts off, and pictures of what it hid",
         )  # fmt: skip
         return self._proposal
@@ -685,6 +686,9 @@ class GroundAgent:
             world_from_hex=belief.world_from_hex,
             predicted_margin=min(plan.swing_margin, plan.landed_margin),
             predicted_sag=plan.sag,
+            predicted_torque_fraction=plan.peak_torque_fraction,
+            predicted_clearance=float("nan") if plan.lift_in_hex is None else plan.lift_clearance,
+            unknown_share=unknown_share(ground.heights, plan.footfall_in_world, radius=self.spec.wheel.radius),
             text=text or f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, {plan.swing_time:.0f} s through the air, "
             f"then the chassis shifts by {shift:.0f} cm{cut}",
         )

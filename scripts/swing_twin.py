@@ -19,7 +19,7 @@ from athlete_twin.geometry.arrays import Joints
 from athlete_twin.messages import Command, JointMove
 from athlete_twin.model.kinematics import GRAVITY
 from athlete_twin.model.reach import leg_ik
-from athlete_twin.moves import Move, Sensed
+from athlete_twin.moves import Move, Sensed, Steps, copyable
 
 LEG_NUMBERS = (0, 1)
 """a corner leg and a side leg of T12; all alike on SDM-B"""
@@ -48,14 +48,17 @@ class FeelingExecutive(Executive):
         move = super()._begin(command)
         if not (self.jumps and isinstance(command, JointMove)):
             return move
-        return self._jumping(command, self.setpoint)
+        return _jumping(self.kin.spec.speed_unloaded, command, self.setpoint)
 
-    def _jumping(self, command: JointMove, start: Joints) -> Move:
-        ways = np.concatenate([start[command.leg][None], command.waypoints])
-        for q in constant_speed(ways, self.kin.spec.speed_unloaded, CONTROL_PERIOD):
-            joints = start.copy()
-            joints[command.leg] = q
-            yield joints
+
+@copyable
+def _jumping(speed: float, command: JointMove, start: Joints) -> Steps:
+    """One leg through way-points at constant speed, as joint moves went before they were timed."""
+    ways = np.concatenate([start[command.leg][None], command.waypoints])
+    for q in constant_speed(ways, speed, CONTROL_PERIOD):
+        joints = start.copy()
+        joints[command.leg] = q
+        yield joints
 
 
 def swing_rows(gaits: Gaits, seed: int) -> list[Row]:
