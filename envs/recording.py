@@ -35,7 +35,10 @@ HEAD = 9
 """opcode and length of a record [byte]"""
 LARGEST_CHUNK = 2**30
 """no chunk of ours comes near: a larger size is damage [byte]"""
-DAMAGE = (McapError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error, zstandard.ZstdError)
+DAMAGE = (
+    McapError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, MemoryError, struct.error,
+    zstandard.ZstdError,
+)  # fmt: skip
 """what parsing bytes that are not as they were written raises"""
 
 
@@ -169,6 +172,8 @@ def _records(path: Path, *, opcodes: frozenset[int] | None = None) -> Iterator[t
             else:
                 file.seek(length, os.SEEK_CUR)
             if known is Opcode.FOOTER:
+                if at + HEAD + length + len(MCAP0_MAGIC) < size:
+                    raise _damaged(path, at, "a footer that is not at the end")
                 return
             at += HEAD + length
 
