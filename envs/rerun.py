@@ -18,7 +18,7 @@ import numpy as np
 from athlete_twin.errors import RecordingError
 from envs.origin import Origin
 from envs.prepare import again
-from envs.recording import Recorded, link_sha256, read_recording, recorded_metadata
+from envs.recording import Recorded, read_recording, recorded_metadata
 from envs.replay import decision_of
 from envs.schemas import Json
 from envs.trial import INTERRUPTED, LOOK, Trial
@@ -102,6 +102,7 @@ def rerun(path: Path, origin: Origin, out: Path, *, progress: Callable[[float], 
         out: folder for `trial.json` and `trial.mcap` of the rerun.
         progress: told the mission time reached [s].
     """
+    _check_apart(path, out)
     scripted = origin.setup.operator in SCRIPTED_OPERATORS
     operator: Operator | None = None if scripted else RecordedOperator(path)
     trial = again(origin, out, operator=operator)
@@ -113,8 +114,7 @@ def rerun(path: Path, origin: Origin, out: Path, *, progress: Callable[[float], 
 
 def compared(path: Path, trial: Trial, *, progress: Callable[[float], None] = lambda _t: None) -> Rerun:
     """Run a trial that should be the recorded one, as far as the recording goes, and compare."""
-    if trial.out.resolve() == path.parent.resolve():
-        raise RecordingError(f"{path}: running it again into {trial.out} would write over it; another folder would have worked")
+    _check_apart(path, trial.out)
     ending = ending_of(path)
     # A recording that was cut in the middle of what the runner looks at in one go is covered by one look more.
     last = np.inf if ending.natural else ending.t + (0.0 if ending.outcome else LOOK)
@@ -189,10 +189,9 @@ def what_differs(before: Recorded, after: Recorded) -> str:
     return "its bytes differ"
 
 
-def hashes(path: Path) -> Json:
-    """The hashes of a closed recording, by its own word; that of the link is made here where the file was cut."""
-    told = dict(recorded_metadata(path, "result"))
-    return told or {"link_sha256": link_sha256(path)}
+def _check_apart(path: Path, out: Path) -> None:
+    if out.resolve() == path.parent.resolve():
+        raise RecordingError(f"{path}: running it again into {out} would write over it; another folder would have worked")
 
 
 def _digest(line: Recorded) -> bytes:

@@ -252,8 +252,8 @@ def _settings(name: str, stage: str, own: Mapping[str, Any], method: str | None,
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
         return kind(**values)
-    except (AthleteError, TypeError) as e:
-        raise ConfigError(f"variant {name}: [settings.{stage}] {e}") from e
+    except (AthleteError, TypeError, ValueError) as e:
+        raise ConfigError(f"variant {name}: [settings.{stage}] {' '.join(str(e).split())}") from e
 
 
 def _meant(key: str, known: tuple[str, ...]) -> str:

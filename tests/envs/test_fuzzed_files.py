@@ -125,7 +125,7 @@ def recording(tmp_path_factory, request):
     return (out / "trial.mcap").read_bytes()
 
 
-READERS = (lambda path: list(read_recording(path)), recorded_origin, recorded_downlinks, events, ending_of)
+READERS = (recorded_origin, recorded_downlinks, events, ending_of)
 
 
 def fuzz_recording(raw, count, folder):
@@ -134,14 +134,13 @@ def fuzz_recording(raw, count, folder):
     path.write_bytes(raw)
     whole = [line.data for line in read_recording(path)]
     refused = lost = 0
-    for _ in range(count):
+    for k in range(count):
         path.write_bytes(spoiled_bytes(raw, rng))
-        for read in READERS:
-            try:
-                read(path)
-            except RecordingError as e:
-                refused += 1
-                assert str(path) in str(e), e
+        try:
+            READERS[k % len(READERS)](path)
+        except RecordingError as e:
+            refused += 1
+            assert str(path) in str(e), e
         try:
             kept = [line.data for line in read_recording(path)]
         except RecordingError:

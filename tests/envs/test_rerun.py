@@ -130,7 +130,7 @@ def test_an_interrupted_trial_comes_again_as_far_as_it_went(run):
     assert done.equal and not done.ending.natural and done.messages > 10
 
 
-@pytest.mark.parametrize("share", [0.35, 0.6, 0.9])
+@pytest.mark.parametrize("share", [0.35, 0.6])
 def test_a_cut_recording_comes_again_as_far_as_it_goes(run, tmp_path, share):
     first = run()
     first.run()
