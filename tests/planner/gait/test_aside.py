@@ -83,7 +83,10 @@ def move_to(robot, ground: Ground, across: float, turn_deg: float) -> AsidePlan 
 def carried_out(plan: AsidePlan, vehicle) -> tuple[SE3, Telemetry]:
     """What the vehicle's chassis did, seen from its start, and the last it told."""
     before, told = vehicle.truth().world_from_hex, []
-    vehicle.receive(CommandSequence(seq=0, robot_id=vehicle.robot_id, t=vehicle.t, sequence_id=0, commands=(plan.command,)))
+    number = vehicle.executive.newest_seq + 1
+    vehicle.receive(
+        CommandSequence(seq=number, robot_id=vehicle.robot_id, t=vehicle.t, sequence_id=number, commands=(plan.command,))
+    )
     while vehicle.busy:
         told += vehicle.advance(vehicle.t + 1.0)
     assert not any(isinstance(message, Fault) for message in told)
