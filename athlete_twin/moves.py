@@ -32,7 +32,7 @@ DESCENT_SPEED = 0.06
 BRANCH_TOLERANCE = 0.03
 """a straight move starts only where the closed-form solution agrees with the joints this well [rad]"""
 PACING_TRIES = 20
-"""to find a step within the joints' speed: a tenth of the one before at worst, so none is found only where joints jump"""
+"""to find a step within the joints' speed: at most half of the one before from the fourth on, so none is found only where joints jump"""
 CHECKED_POINTS = 16
 """of a path checked for reach before it begins"""
 AIRBORNE_LOAD = 120.0
@@ -230,13 +230,18 @@ def _into_posture(start: Joints, posed: Joints, limit: float) -> Generator[Joint
 def _paced(
     angles_at: Callable[[float], np.ndarray], now: np.ndarray, fraction: float, step: float, limit: float, leg: int
 ) -> tuple[float, np.ndarray]:
-    """The next fraction of a straight way and its angles, none of which changes by more than `limit` [rad]."""
-    for _ in range(PACING_TRIES):
+    """The next fraction of a straight way and its angles, none of which changes by more than `limit` [rad].
+
+    The angles of a way may jump where a rule of the drawings takes over from another: such a small jump is spread over ticks.
+    """
+    for k in range(PACING_TRIES):
         target = angles_at(fraction + step)
         change = float(np.abs(target - now).max())
         if change <= limit:
             return fraction + step, target
-        step *= max(0.999 * limit / change, 0.1)
+        step *= min(max(0.999 * limit / change, 0.1), 1.0 if k < 3 else 0.5)
+    if change <= BRANCH_TOLERANCE:
+        return fraction, now + (target - now) * (0.999 * limit / change)
     raise MoveFailedError(
         "unreachable", f"a joint would jump by {np.rad2deg(change):.1f} deg {100 * fraction:.0f} % along the way", leg
     )

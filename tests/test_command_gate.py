@@ -88,7 +88,7 @@ def test_telemetry_is_no_command():
     (telemetry,) = mock.advance(1.0)
     assert isinstance(telemetry, Telemetry)
     assert [x.cause for x in e.accept_raw(encode(telemetry))] == ["damaged"]
-    (receipt,) = mock.receive_raw(b"hello")
+    receipt, telemetry = mock.receive_raw(b"hello")
     assert isinstance(receipt, Receipt)
     assert (receipt.status, receipt.cause, receipt.sequence_id) == ("refused", "damaged", -1)
     assert receipt.cause in REFUSALS
