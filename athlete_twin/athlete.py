@@ -6,18 +6,19 @@ rest is held by its brakes: time passes without integration, which changes nothi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from athlete_twin.breakage import Breakage
+from athlete_twin.commanded import Commanded
 from athlete_twin.errors import PhysicsError
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
 from athlete_twin.geometry.arrays import Joints, PerLeg, RawImage, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, StereoPair, Stop, Telemetry
+from athlete_twin.messages import ImageRequest, Message, StereoPair, Telemetry
 from athlete_twin.model.appearance import visual_parts
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import all_legs_ik
@@ -122,7 +123,7 @@ class _Control:
     """whether the executive's state did"""
 
 
-class Athlete:
+class Athlete(Commanded):
     """One robot in one scenario, from one seed."""
 
     def __init__(
@@ -149,8 +150,8 @@ class Athlete:
                 stance, level, at the origin by default.
         """
         self._breakage = Breakage(scenario, spec)  # before there is a physics client that a refusal would leave behind
+        super().__init__(spec.name)
         self.spec, self.scenario, self.seed = spec, scenario, seed
-        self.robot_id = spec.name
         self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
         stance = stance_wheels_in_hex(spec)
@@ -179,7 +180,6 @@ class Athlete:
         self._ticks = 0
         """of physics since the control period began"""
         self._rest = False
-        self._counts: dict[str, int] = {}
         self._captures = 0
         self._last_telemetry = -np.inf
         self._last_track = -np.inf
@@ -203,18 +203,6 @@ class Athlete:
     def busy(self) -> bool:
         """Whether the executive has anything to do, or will have once its power is back."""
         return self.executive.busy or self._breakage.dark(self.t)
-
-    def receive(self, message: CommandSequence | Stop) -> list[Message]:
-        """Take what came up the link; returns the receipts this makes at once."""
-        if self._breakage.dark(self.t):
-            return []
-        return self._tell_and_report(self.executive.accept(message))
-
-    def receive_raw(self, raw: bytes) -> list[Message]:
-        """Take bytes that came up the link; what is no command for this robot is refused with a receipt, and telemetry behind it."""
-        if self._breakage.dark(self.t):
-            return []
-        return self._tell_and_report(self.executive.accept_raw(raw))
 
     def advance(self, until: float) -> list[Message]:
         """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first.
@@ -382,37 +370,10 @@ class Athlete:
             made.append(self._telemetry())
         return made
 
-    def _tell_and_report(self, events: list[Event]) -> list[Message]:
-        """What answers a message at once. Whoever stops the robot or is refused wants to know how far it is."""
-        made = self._tell(events)
-        if self.executive.state == "stopped" or any(e.status == "refused" for e in events):
-            made.append(self._telemetry())
-        return made
+    def _deaf(self) -> bool:
+        return self._breakage.dark(self.t)
 
-    def _tell(self, events: Iterable[Event]) -> list[Message]:
-        out: list[Message] = []
-        for e in events:
-            if e.kind == "receipt":
-                out.append(
-                    Receipt(
-                        seq=self._next("receipt"), robot_id=self.robot_id, t=self.t, sequence_id=e.sequence_id,
-                        command_index=e.command_index, status=e.status, text=e.text, cause=e.cause,
-                    )
-                )
-            elif e.kind == "fault":
-                out.append(
-                    Fault(
-                        seq=self._next("fault"), robot_id=self.robot_id, t=self.t, code=e.status, text=e.text,
-                        sequence_id=e.sequence_id, command_index=e.command_index, leg=e.leg,
-                    )
-                )
-            elif e.request is not None:
-                out.extend(self._capture(e))
-        return out
-
-    def _capture(self, event: Event) -> list[Message]:
-        if event.request is None:
-            return []
+    def _capture(self, request: ImageRequest) -> list[Message]:
         if self._eyes is None:
             from athlete_twin.sensors.renderer import Renderer
             from athlete_twin.sensors.stereo_camera import StereoRig
@@ -421,13 +382,13 @@ class Athlete:
             self._eyes = StereoRig(self.spec, renderer, seed=self.seed, camera_error=self.trial.camera_error)
         state = self._telemetry()
         shots = self._eyes.capture(
-            event.request.cameras,
-            event.request.binning,
+            request.cameras,
+            request.binning,
             self.body.link_poses(),
             world_from_hex=self.body.world_from_hex(),
             index=self._captures,
-            bits=event.request.bits,
-            brackets=event.request.brackets,
+            bits=request.bits,
+            brackets=request.brackets,
         )
         self._captures += 1
         if self.on_view is not None:
@@ -435,9 +396,9 @@ class Athlete:
                 self.on_view(bracket[0].truth(camera=name, t=self.t, wheels_in_world=self.body.axles.copy()))
         return [
             StereoPair(
-                seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=event.request.binning,
+                seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=request.binning,
                 left=self._seen(name, shot.left), right=self._seen(name, shot.right), exposure=shot.exposure, state=state,
-                bits=event.request.bits, bracket=number,
+                bits=request.bits, bracket=number,
             )
             for name, bracket in shots.items()
             for number, shot in enumerate(bracket)
@@ -457,11 +418,6 @@ class Athlete:
             command_index=self.executive.command_index,
             **self._sense().fields(),
         )
-
-    def _next(self, kind: str) -> int:
-        count = self._counts.get(kind, 0)
-        self._counts[kind] = count + 1
-        return count
 
     def _record_track(self) -> None:
         self._last_track = self.t

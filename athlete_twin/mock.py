@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from athlete_twin.commanded import Commanded
 from athlete_twin.driving import rolling_velocities
-from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
+from athlete_twin.executive import CONTROL_PERIOD, Executive
 from athlete_twin.geometry.arrays import Image, Joints, PerLeg, PerLegFlag, RawImage, Vec2, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Message, Receipt, StereoPair, Stop, Telemetry
+from athlete_twin.messages import ImageRequest, Message, StereoPair, Telemetry
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
@@ -62,11 +63,12 @@ class MockTrackPoint:
     joints: Joints
 
 
-class MockAthlete:
+class MockAthlete(Commanded):
     """One robot on flat ground at height 0. Implements the `Robot` protocol and is asked for its truth like the twin."""
 
     def __init__(self, spec: RobotSpec) -> None:
-        self.spec, self.robot_id = spec, spec.name
+        super().__init__(spec.name)
+        self.spec = spec
         self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
         self.executive = Executive(kin=self.kin, setpoint=regular_stance(spec))
@@ -75,7 +77,6 @@ class MockAthlete:
         self.injected: list[InjectedFault] = []
         self.track: list[MockTrackPoint] = []
         self.peak_torque_fraction = 0.0
-        self._counts: dict[str, int] = {}
         self._last_telemetry = self._last_track = -np.inf
         self._since_control = 0.0
         self._height_tilt = np.array([spec.chassis_height, 0.0, 0.0])
@@ -94,14 +95,6 @@ class MockAthlete:
     def busy(self) -> bool:
         """Whether the executive has anything to do."""
         return self.executive.busy
-
-    def receive(self, message: CommandSequence | Stop) -> list[Message]:
-        """Take what came up the link; the receipts this makes at once."""
-        return self._tell_and_report(self.executive.accept(message))
-
-    def receive_raw(self, raw: bytes) -> list[Message]:
-        """Take bytes that came up the link; what is no command for this robot is refused with a receipt, and telemetry behind it."""
-        return self._tell_and_report(self.executive.accept_raw(raw))
 
     def advance(self, until: float) -> list[Message]:
         """Run to mission time `until` [s], or until something goes down, whichever comes first.
@@ -212,46 +205,6 @@ class MockAthlete:
             self._held_by = self.kin.gravity_torques(self.executive.setpoint, -GRAVITY * up, loads, contacts)
         return self._held_by.copy()
 
-    def _tell_and_report(self, events: list[Event]) -> list[Message]:
-        """What answers a message at once. Whoever stops the robot or is refused wants to know how far it is."""
-        made = self._tell(events)
-        if self.executive.state == "stopped" or any(e.status == "refused" for e in events):
-            made.append(self._telemetry())
-        return made
-
-    def _tell(self, events: list[Event]) -> list[Message]:
-        out: list[Message] = []
-        for e in events:
-            if e.kind == "fault":
-                out.append(
-                    Fault(
-                        seq=self._next("fault"),
-                        robot_id=self.robot_id,
-                        t=self.t,
-                        code=e.status,
-                        text=e.text,
-                        sequence_id=e.sequence_id,
-                        command_index=e.command_index,
-                        leg=e.leg,
-                    )
-                )
-            elif e.request is not None:
-                out.extend(self._capture(e.request))
-            else:
-                out.append(
-                    Receipt(
-                        seq=self._next("receipt"),
-                        robot_id=self.robot_id,
-                        t=self.t,
-                        sequence_id=e.sequence_id,
-                        command_index=e.command_index,
-                        status=e.status,
-                        text=e.text,
-                        cause=e.cause,
-                    )
-                )
-        return out
-
     def _capture(self, request: ImageRequest) -> list[Message]:
         state = self._telemetry()
         out: list[Message] = []
@@ -289,11 +242,6 @@ class MockAthlete:
             sequence_id=self.executive.sequence_id,
             command_index=self.executive.command_index,
         )
-
-    def _next(self, kind: str) -> int:
-        count = self._counts.get(kind, 0)
-        self._counts[kind] = count + 1
-        return count
 
     def _record_track(self) -> None:
         self._last_track = self.t
