@@ -84,6 +84,7 @@ KINDS = {
 
 
 def fuzz_toml(kind, count, folder):
+    """Share of spoiled files that are refused; each refusal names the file in one line, and nothing else is raised."""
     pattern, load = KINDS[kind]
     sources = [path.read_bytes() for path in sorted(assets_root().glob(pattern))]
     rng = np.random.default_rng([1, *kind.encode()])
@@ -97,18 +98,18 @@ def fuzz_toml(kind, count, folder):
             refused += 1
             assert str(path) in str(e), e
             assert len(str(e).splitlines()) == 1, e
-    assert 0.2 * count < refused < count
+    return refused / count
 
 
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_spoiled_toml_is_refused_by_name_or_read(kind, tmp_path):
-    fuzz_toml(kind, FEW, tmp_path)
+    assert 0.2 < fuzz_toml(kind, FEW, tmp_path) < 1.0
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", list(KINDS))
 def test_ten_thousand_spoiled_toml_files_are_refused_by_name_or_read(kind, tmp_path):
-    fuzz_toml(kind, MANY, tmp_path)
+    assert 0.2 < fuzz_toml(kind, MANY, tmp_path) < 1.0
 
 
 @pytest.fixture(scope="module")
@@ -129,6 +130,7 @@ READERS = (recorded_origin, recorded_downlinks, events, ending_of)
 
 
 def fuzz_recording(raw, count, folder):
+    """Shares of spoiled recordings that are refused, and that are read as a beginning of what was written."""
     rng = np.random.default_rng(11)
     path = folder / "mine.mcap"
     path.write_bytes(raw)
@@ -148,16 +150,18 @@ def fuzz_recording(raw, count, folder):
         # What is given out without a word is a beginning of what was written.
         assert kept == whole[: len(kept)]
         lost += len(kept) < len(whole)
-    assert refused > 0.3 * count and lost > 0.1 * count
+    return refused / count, lost / count
 
 
 def test_spoiled_recordings_are_refused_by_name_or_read_as_far_as_they_go(recording, tmp_path):
-    fuzz_recording(recording, 60, tmp_path)
+    refused, shortened = fuzz_recording(recording, 60, tmp_path)
+    assert refused > 0.3 and shortened > 0.1
 
 
 @pytest.mark.slow
 def test_ten_thousand_spoiled_recordings_are_refused_by_name_or_read_as_far_as_they_go(recording, tmp_path):
-    fuzz_recording(recording, MANY, tmp_path)
+    refused, shortened = fuzz_recording(recording, MANY, tmp_path)
+    assert refused > 0.3 and shortened > 0.1
 
 
 def test_a_recording_cut_at_any_place_gives_what_was_whole_there(tmp_path):
