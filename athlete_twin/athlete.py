@@ -6,18 +6,19 @@ rest is held by its brakes: time passes without integration, which changes nothi
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from athlete_twin.breakage import Breakage
+from athlete_twin.commanded import Commanded
 from athlete_twin.errors import PhysicsError
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
 from athlete_twin.geometry.arrays import Joints, PerLeg, RawImage, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, StereoPair, Stop, Telemetry
+from athlete_twin.messages import ImageRequest, Message, StereoPair, Telemetry
 from athlete_twin.model.appearance import visual_parts
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import all_legs_ik
@@ -108,7 +109,21 @@ class TrackPoint:
     """dock angles in the order of the URDF, empty on SDM-B [rad]"""
 
 
-class Athlete:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Control:
+    """What holds during one control period."""
+
+    commands: Joints
+    """of the motors, as they are and not as their encoders read them [rad]"""
+    rates: Joints
+    """[rad/s]"""
+    events: list[Event]
+    """to be told at its end"""
+    changed: bool
+    """whether the executive's state did"""
+
+
+class Athlete(Commanded):
     """One robot in one scenario, from one seed."""
 
     def __init__(
@@ -135,8 +150,8 @@ class Athlete:
                 stance, level, at the origin by default.
         """
         self._breakage = Breakage(scenario, spec)  # before there is a physics client that a refusal would leave behind
+        super().__init__(spec.name)
         self.spec, self.scenario, self.seed = spec, scenario, seed
-        self.robot_id = spec.name
         self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
         stance = stance_wheels_in_hex(spec)
@@ -162,8 +177,9 @@ class Athlete:
         self._eyes: Any = None
         self.t = 0.0
         self._readings, self._controls = 0, 0
+        self._ticks = 0
+        """of physics since the control period began"""
         self._rest = False
-        self._counts: dict[str, int] = {}
         self._captures = 0
         self._last_telemetry = -np.inf
         self._last_track = -np.inf
@@ -188,19 +204,16 @@ class Athlete:
         """Whether the executive has anything to do, or will have once its power is back."""
         return self.executive.busy or self._breakage.dark(self.t)
 
-    def receive(self, message: CommandSequence | Stop) -> list[Message]:
-        """Take what came up the link; returns the receipts this makes at once."""
-        if self._breakage.dark(self.t):
-            return []
-        made = self._tell(self.executive.accept(message))
-        if isinstance(message, Stop):
-            made.append(self._telemetry())
-        return made
-
     def advance(self, until: float) -> list[Message]:
-        """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first."""
+        """Run to the mission time `until` [s], or until something is to be sent down, whichever comes first.
+
+        Time may pass `until` by less than a physics tick; what comes up meanwhile is heard at that tick.
+        """
         out, self._waiting = self._waiting, []
         while self.t < until - 1e-9 and not out:
+            if self._ticks:
+                out = self._physics_tick()
+                continue
             out = self._break()
             if out:
                 break
@@ -210,7 +223,8 @@ class Athlete:
                 self._touching = {p: t + later - self.t for p, t in self._touching.items()}
                 self.t = later
             else:
-                out = self._control_tick()
+                self._begin_control()
+                out = self._physics_tick()
         return out
 
     def close(self) -> None:
@@ -317,58 +331,49 @@ class Athlete:
             index=self._readings,
         )
 
-    def _control_tick(self) -> list[Message]:
+    def _begin_control(self) -> None:
+        """What the executive makes of what it feels: how the motors go until the next control tick."""
         measured = self._sense()
         sensed = Sensed(joints=measured.joints, torques=measured.torques, attitude_rpy=measured.attitude_rpy)
         before, state = self.executive.setpoint, self.executive.state
         events = [] if self._breakage.dark(self.t) else self.executive.tick(sensed)
-        commands = self.executive.setpoint - self.trial.encoder_zero
         rates = np.maximum(np.abs(self.executive.setpoint - before) / CONTROL_PERIOD, 1e-3)
-        rates = np.minimum(rates, self.spec.speed_unloaded)
-        limits = self.spec.torque_limits
-        for _ in range(TICKS_PER_CONTROL):
-            self.body.step(commands, rates, self.executive.wheel_rates if self.executive.rolling else None)
-            fraction = np.abs(self.body.torques()) / limits
-            self._torque_fraction += (fraction - self._torque_fraction) * (TICK / TORQUE_FILTER)
-        self.t += CONTROL_PERIOD
+        self._control = _Control(
+            commands=self.executive.setpoint - self.trial.encoder_zero,
+            rates=np.minimum(rates, self.spec.speed_unloaded),
+            events=events,
+            changed=state != self.executive.state,
+        )
+
+    def _physics_tick(self) -> list[Message]:
+        """One tick of physics; at the end of a control period what there is to send down."""
+        control = self._control
+        self.body.step(control.commands, control.rates, self.executive.wheel_rates if self.executive.rolling else None)
+        fraction = np.abs(self.body.torques()) / self.spec.torque_limits
+        self._torque_fraction += (fraction - self._torque_fraction) * (TICK / TORQUE_FILTER)
+        self.t += TICK
+        self._ticks = (self._ticks + 1) % TICKS_PER_CONTROL
+        return [] if self._ticks else self._end_control(control)
+
+    def _end_control(self, control: _Control) -> list[Message]:
         self.peak_torque_fraction = max(self.peak_torque_fraction, float(self._torque_fraction.max()))
         self._rest = not self.executive.busy and settled(self.body)
         self._controls += 1
         self._look_for_collisions(strikes=self._controls % CONTROLS_PER_CHECK == 0)
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
-        made = self._tell(events)
-        changed = state != self.executive.state or any(
-            e.kind == "fault" or (e.kind == "receipt" and e.command_index < 0) for e in events
+        made = self._tell(control.events)
+        changed = control.changed or any(
+            e.kind == "fault" or (e.kind == "receipt" and e.command_index < 0) for e in control.events
         )
         if changed or (self.executive.busy and self.t - self._last_telemetry >= TELEMETRY_PERIOD):
             made.append(self._telemetry())
         return made
 
-    def _tell(self, events: Iterable[Event]) -> list[Message]:
-        out: list[Message] = []
-        for e in events:
-            if e.kind == "receipt":
-                out.append(
-                    Receipt(
-                        seq=self._next("receipt"), robot_id=self.robot_id, t=self.t, sequence_id=e.sequence_id,
-                        command_index=e.command_index, status=e.status, text=e.text,
-                    )
-                )
-            elif e.kind == "fault":
-                out.append(
-                    Fault(
-                        seq=self._next("fault"), robot_id=self.robot_id, t=self.t, code=e.status, text=e.text,
-                        sequence_id=e.sequence_id, command_index=e.command_index, leg=e.leg,
-                    )
-                )
-            elif e.request is not None:
-                out.extend(self._capture(e))
-        return out
+    def _deaf(self) -> bool:
+        return self._breakage.dark(self.t)
 
-    def _capture(self, event: Event) -> list[Message]:
-        if event.request is None:
-            return []
+    def _capture(self, request: ImageRequest) -> list[Message]:
         if self._eyes is None:
             from athlete_twin.sensors.renderer import Renderer
             from athlete_twin.sensors.stereo_camera import StereoRig
@@ -377,13 +382,13 @@ class Athlete:
             self._eyes = StereoRig(self.spec, renderer, seed=self.seed, camera_error=self.trial.camera_error)
         state = self._telemetry()
         shots = self._eyes.capture(
-            event.request.cameras,
-            event.request.binning,
+            request.cameras,
+            request.binning,
             self.body.link_poses(),
             world_from_hex=self.body.world_from_hex(),
             index=self._captures,
-            bits=event.request.bits,
-            brackets=event.request.brackets,
+            bits=request.bits,
+            brackets=request.brackets,
         )
         self._captures += 1
         if self.on_view is not None:
@@ -391,9 +396,9 @@ class Athlete:
                 self.on_view(bracket[0].truth(camera=name, t=self.t, wheels_in_world=self.body.axles.copy()))
         return [
             StereoPair(
-                seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=event.request.binning,
+                seq=self._next("stereo_pair"), robot_id=self.robot_id, t=self.t, camera=name, binning=request.binning,
                 left=self._seen(name, shot.left), right=self._seen(name, shot.right), exposure=shot.exposure, state=state,
-                bits=event.request.bits, bracket=number,
+                bits=request.bits, bracket=number,
             )
             for name, bracket in shots.items()
             for number, shot in enumerate(bracket)
@@ -413,11 +418,6 @@ class Athlete:
             command_index=self.executive.command_index,
             **self._sense().fields(),
         )
-
-    def _next(self, kind: str) -> int:
-        count = self._counts.get(kind, 0)
-        self._counts[kind] = count + 1
-        return count
 
     def _record_track(self) -> None:
         self._last_track = self.t

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from athlete_twin.driving import drive_move
+from athlete_twin.errors import MessageError
 from athlete_twin.geometry.arrays import Joints, PerLeg
 from athlete_twin.messages import (
     BodyMove,
@@ -23,6 +24,7 @@ from athlete_twin.messages import (
     LegMove,
     Stop,
     Wait,
+    decode,
 )
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS
@@ -54,6 +56,8 @@ class Event:
     command_index: int
     status: str = ""
     text: str = ""
+    cause: str = ""
+    """of a refusal"""
     leg: int = -1
     request: ImageRequest | None = None
 
@@ -76,6 +80,8 @@ class Executive:
     state: str = "idle"
     sequence_id: int = -1
     command_index: int = 0
+    newest_seq: int = -1
+    """highest `seq` of the sequences taken so far"""
     phases: list[str] = field(default_factory=lambda: ["stance"] * LEGS)
     """per leg "stance", "lift_off", "swing" or "descent", as the executive itself sees it"""
     wheel_rates: PerLeg = field(default_factory=lambda: np.zeros(LEGS))
@@ -101,16 +107,34 @@ class Executive:
 
     def accept(self, message: CommandSequence | Stop) -> list[Event]:
         """Take what came up the link."""
+        if message.robot_id != self.kin.spec.name:
+            return [self.refuse("misaddressed", f"the message is for {message.robot_id!r}, this is {self.kin.spec.name}", message)]
         if isinstance(message, Stop):
             return self._stop(message)
-        if message.robot_id != self.kin.spec.name:
-            text = f"the sequence is for {message.robot_id!r}, this is {self.kin.spec.name}"
-            return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="failed", text=text)]
+        if message.seq <= self.newest_seq:
+            cause = "repeated" if message.seq == self.newest_seq else "stale"
+            return [self.refuse(cause, f"seq {message.seq} comes after {self.newest_seq}; each sequence counts on", message)]
         if len(self._queue) >= QUEUE_LIMIT:
-            text = f"queue is full with {QUEUE_LIMIT} sequences"
-            return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="failed", text=text)]
+            return [self.refuse("queue_full", f"queue is full with {QUEUE_LIMIT} sequences", message)]
+        self.newest_seq = message.seq
         self._queue.append(message)
         return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="queued")]
+
+    def accept_raw(self, raw: bytes) -> list[Event]:
+        """Take bytes that came up the link: what is no command for this robot is refused."""
+        try:
+            message = decode(raw)
+        except MessageError as e:
+            return [self.refuse("damaged", str(e))]
+        if not isinstance(message, CommandSequence | Stop):
+            return [self.refuse("damaged", f"{message.topic} is not for a robot")]
+        return self.accept(message)
+
+    @staticmethod
+    def refuse(cause: str, text: str, message: CommandSequence | Stop | None = None) -> Event:
+        """The receipt of what was not taken; without a message nobody knows of which sequence."""
+        sequence_id = message.sequence_id if isinstance(message, CommandSequence) else -1
+        return Event(kind="receipt", sequence_id=sequence_id, command_index=-1, status="refused", text=text, cause=cause)
 
     def brown_out(self) -> list[Event]:
         """Power is lost: the sequence and the queue with it. Brakes hold; what to tell once power is back."""

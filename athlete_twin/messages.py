@@ -2,7 +2,11 @@
 
 Up goes a `CommandSequence` or a `Stop`; down come `Telemetry`, `StereoPair`, `Receipt` and `Fault`. `encode` gives the
 bytes whose length the link charges for and which the recorder keeps; `decode` gives the message back, and refuses bytes
-whose checksum does not match.
+whose checksum does not match or whose fields are not what they should be.
+
+Every message says for which robot or from which robot it is, and counts on: the executive takes a command sequence only
+with a higher `seq` than any it took before. One that is damaged, for another robot, stale or repeated, or that finds the
+queue full, is refused with a receipt that names the cause. A `Stop` is obeyed whatever its count, from anyone.
 
 Commands speak of motor angles and of wheel positions that follow from them by the drawn kinematics: where the wheel
 would be if nothing flexed ([SunSpiral2012] s5.1.1 calls it unsagged). Telemetry carries both sides of the wind-up.
@@ -28,21 +32,27 @@ from typing import Any, ClassVar
 import cv2
 import numpy as np
 
-from athlete_twin.errors import CommandError, MessageError
+from athlete_twin.errors import AthleteError, CommandError, MessageError
 from athlete_twin.geometry.arrays import Joints, RawImage, Vec3
 
+FARTHEST = 1e3
+"""that a command may name: what is farther is a mistake, and squares of it would overflow [m]"""
 GUARDS = ("none", "break_contact", "contact")
+CORNER_TOLERANCE, MOST_CORNER_TOLERANCE = 0.01, 0.1
+"""by which a joint move cuts its corners unless it says otherwise, and at most [rad]"""
 BITS = (8, 12)
 """of a grey value"""
 MAX_BRACKETS = 5
 """exposures of one request"""
-RECEIPT_STATES = ("queued", "executing", "completed", "failed", "cancelled")
+RECEIPT_STATES = ("queued", "executing", "completed", "failed", "cancelled", "refused")
+REFUSALS = ("damaged", "misaddressed", "stale", "repeated", "queue_full")
+"""why a command was refused"""
 EXECUTIVE_STATES = ("idle", "executing", "stopped", "fault")
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointMove:
-    """Move one leg through way-points in joint space, each joint in step with the others."""
+    """Move one leg through way-points in joint space from rest to rest, each joint in step with the others."""
 
     kind: ClassVar[str] = "joint_move"
     leg: int
@@ -50,7 +60,9 @@ class JointMove:
     waypoints: np.ndarray
     """motor angles (before the wind-up), shape (k, dof); the leg starts from where it is [rad]"""
     speed_scale: float = 1.0
-    """of the unloaded joint speed, in (0, 1]"""
+    """of the unloaded joint speed, in (0, 1]; accelerations go with its square"""
+    corner_tolerance: float = CORNER_TOLERANCE
+    """by which the leg may cut the corners at way-points, 0 to 0.1; zero: it stops at each [rad]"""
 
     def __post_init__(self) -> None:
         _check_leg(self.leg)
@@ -58,6 +70,8 @@ class JointMove:
         if w.ndim != 2 or len(w) < 1 or not np.isfinite(w).all():
             raise CommandError(f"way-points have shape {w.shape}, need finite (k, dof) with k >= 1")
         _check_fraction("speed_scale", self.speed_scale)
+        if not 0.0 <= self.corner_tolerance <= MOST_CORNER_TOLERANCE:
+            raise CommandError(f"corner_tolerance {self.corner_tolerance} rad is outside 0 to {MOST_CORNER_TOLERANCE}")
         object.__setattr__(self, "waypoints", w)
 
 
@@ -80,8 +94,8 @@ class LegMove:
     def __post_init__(self) -> None:
         _check_leg(self.leg)
         target = np.asarray(self.wheel_in_hex, dtype=float)
-        if target.shape != (3,) or not np.isfinite(target).all():
-            raise CommandError(f"wheel target {target} must be a finite point")
+        if target.shape != (3,) or not _near(target):
+            raise CommandError(f"wheel target {target} must be a finite point within {FARTHEST:g} m")
         if self.guard not in GUARDS:
             raise CommandError(f"guard {self.guard!r} is not one of {', '.join(GUARDS)}")
         if self.guard == "contact" and not (np.isfinite(self.contact_load) and self.contact_load > 0.0):
@@ -106,8 +120,8 @@ class BodyMove:
     def __post_init__(self) -> None:
         for name, shape in (("translation_in_hex", (3,)), ("rotvec_in_hex", (3,)), ("wheel_offsets_in_hex", (6, 3))):
             value = np.asarray(getattr(self, name), dtype=float)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise CommandError(f"{name} must be finite with shape {shape}, got shape {value.shape}")
+            if value.shape != shape or not _near(value):
+                raise CommandError(f"{name} must be finite, within {FARTHEST:g}, with shape {shape}, got {value.tolist()}")
             object.__setattr__(self, name, value)
         _check_fraction("speed_scale", self.speed_scale)
 
@@ -124,8 +138,8 @@ class Drive:
 
     def __post_init__(self) -> None:
         way = np.asarray(self.translation_in_hex, dtype=float)
-        if way.shape != (2,) or not np.isfinite(way).all():
-            raise CommandError(f"translation_in_hex must be two finite lengths, got {way}")
+        if way.shape != (2,) or not _near(way):
+            raise CommandError(f"translation_in_hex must be two finite lengths within {FARTHEST:g} m, got {way}")
         if not (np.isfinite(self.speed) and self.speed > 0.0):
             raise CommandError(f"drive speed {self.speed} m/s must be positive")
         object.__setattr__(self, "translation_in_hex", way)
@@ -186,6 +200,13 @@ class Message:
     t: float
     """when it was made, mission time [s]"""
 
+    def __post_init__(self) -> None:
+        _check_count("seq", self.seq, least=0)
+        if not isinstance(self.robot_id, str):
+            raise MessageError(f"robot_id must be a name, got {self.robot_id!r}")
+        if isinstance(self.t, bool) or not np.isfinite(self.t):
+            raise MessageError(f"t is {self.t} s, must be finite")
+
     @property
     def crc32(self) -> int:
         """Checksum of the encoded body."""
@@ -208,7 +229,12 @@ class CommandSequence(Message):
     """and when a wheel that moves through the air feels more, by its leg's torques; None: the executive's own limit [N]"""
 
     def __post_init__(self) -> None:
+        super().__post_init__()
+        _check_count("sequence_id", self.sequence_id, least=0)
         object.__setattr__(self, "commands", tuple(self.commands))
+        for number, command in enumerate(self.commands):
+            if not isinstance(command, Command):
+                raise CommandError(f"commands[{number}] is a {type(command).__name__}, no command")
         for name, most in (("max_torque_fraction", 10.0), ("max_tilt", np.pi)):
             value = getattr(self, name)
             if not (np.isfinite(value) and 0.0 < value <= most):
@@ -283,8 +309,10 @@ class Receipt(Message):
     command_index: int
     """-1 for the sequence as a whole"""
     status: str
-    """"queued", "executing", "completed", "failed" or "cancelled" """
+    """"queued", "executing", "completed", "failed", "cancelled" or "refused" """
     text: str = ""
+    cause: str = ""
+    """of a refusal, one of `REFUSALS`; a repeated command's receipt says nothing of the one that was taken"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -323,8 +351,10 @@ def decode(raw: bytes) -> Message:
             raise MessageError(f"checksum of a {head['topic']} message does not match its {len(body)} bytes")
         text, blobs = _split_body(body)
         return kind(**{k: _from_plain(v, blobs) for k, v in json.loads(text).items()})
-    except (ValueError, KeyError, TypeError, IndexError) as e:
-        raise MessageError(f"{len(raw)} bytes are not a message: {e}") from e
+    except MessageError:
+        raise
+    except (AthleteError, ValueError, LookupError, TypeError, AttributeError, OverflowError, RecursionError, cv2.error) as e:
+        raise MessageError(f"{len(raw)} bytes are not a message: {' '.join(str(e).split())}") from e
 
 
 def plain(message: Message) -> dict[str, Any]:
@@ -395,9 +425,18 @@ def _from_plain(value: Any, blobs: list[bytes]) -> Any:
     return value
 
 
+def _near(values: np.ndarray) -> bool:
+    return bool((np.abs(values) <= FARTHEST).all())
+
+
 def _check_leg(leg: int) -> None:
-    if not 0 <= leg < 6:
-        raise CommandError(f"leg index {leg} is outside 0 to 5")
+    if isinstance(leg, bool) or not isinstance(leg, int | np.integer) or not 0 <= leg < 6:
+        raise CommandError(f"leg index {leg!r} is not a whole number from 0 to 5")
+
+
+def _check_count(name: str, value: int, *, least: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
+        raise MessageError(f"{name} is {value!r}, must be a whole number from {least} on")
 
 
 def _check_fraction(name: str, value: float) -> None:

@@ -13,11 +13,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from athlete_twin.commanded import Commanded
 from athlete_twin.driving import rolling_velocities
-from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
+from athlete_twin.executive import CONTROL_PERIOD, Executive
 from athlete_twin.geometry.arrays import Image, Joints, PerLeg, PerLegFlag, RawImage, Vec2, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Message, Receipt, StereoPair, Stop, Telemetry
+from athlete_twin.messages import ImageRequest, Message, StereoPair, Telemetry
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
@@ -62,11 +63,12 @@ class MockTrackPoint:
     joints: Joints
 
 
-class MockAthlete:
+class MockAthlete(Commanded):
     """One robot on flat ground at height 0. Implements the `Robot` protocol and is asked for its truth like the twin."""
 
     def __init__(self, spec: RobotSpec) -> None:
-        self.spec, self.robot_id = spec, spec.name
+        super().__init__(spec.name)
+        self.spec = spec
         self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
         self.executive = Executive(kin=self.kin, setpoint=regular_stance(spec))
@@ -75,8 +77,8 @@ class MockAthlete:
         self.injected: list[InjectedFault] = []
         self.track: list[MockTrackPoint] = []
         self.peak_torque_fraction = 0.0
-        self._counts: dict[str, int] = {}
         self._last_telemetry = self._last_track = -np.inf
+        self._since_control = 0.0
         self._height_tilt = np.array([spec.chassis_height, 0.0, 0.0])
         self._place_xy_yaw = np.zeros(3)
         wheels = self.kin.wheels_in_hex(self.executive.setpoint)
@@ -94,22 +96,24 @@ class MockAthlete:
         """Whether the executive has anything to do."""
         return self.executive.busy
 
-    def receive(self, message: CommandSequence | Stop) -> list[Message]:
-        """Take what came up the link; the receipts this makes at once."""
-        made = self._tell(self.executive.accept(message))
-        if isinstance(message, Stop):
-            made.append(self._telemetry())
-        return made
-
     def advance(self, until: float) -> list[Message]:
-        """Run to mission time `until` [s], or until something goes down, whichever comes first."""
+        """Run to mission time `until` [s], or until something goes down, whichever comes first.
+
+        A control tick that ends later has not happened yet: what comes up until then finds the robot before it.
+        """
         if self._last_telemetry < 0.0:
             return [self._telemetry()]
         out: list[Message] = []
         while self.t < until - 1e-9 and not out:
             if not self.executive.busy:
+                self.t, self._since_control = until, 0.0
+                break
+            left = max(CONTROL_PERIOD - self._since_control, 0.0)
+            if self.t + left > until + 1e-9:
+                self._since_control += until - self.t
                 self.t = until
                 break
+            self.t, self._since_control = self.t + left, 0.0
             out = self._control_tick()
         return out
 
@@ -158,7 +162,6 @@ class MockAthlete:
             self._anchors = self._anchors + CONTROL_PERIOD * turn.rotate(velocities)[:, :2]
         if self.executive.rolling or self.executive.setpoint is not before:
             self._settle()
-        self.t += CONTROL_PERIOD
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
         made = self._tell(events)
@@ -202,38 +205,6 @@ class MockAthlete:
             self._held_by = self.kin.gravity_torques(self.executive.setpoint, -GRAVITY * up, loads, contacts)
         return self._held_by.copy()
 
-    def _tell(self, events: list[Event]) -> list[Message]:
-        out: list[Message] = []
-        for e in events:
-            if e.kind == "fault":
-                out.append(
-                    Fault(
-                        seq=self._next("fault"),
-                        robot_id=self.robot_id,
-                        t=self.t,
-                        code=e.status,
-                        text=e.text,
-                        sequence_id=e.sequence_id,
-                        command_index=e.command_index,
-                        leg=e.leg,
-                    )
-                )
-            elif e.request is not None:
-                out.extend(self._capture(e.request))
-            else:
-                out.append(
-                    Receipt(
-                        seq=self._next("receipt"),
-                        robot_id=self.robot_id,
-                        t=self.t,
-                        sequence_id=e.sequence_id,
-                        command_index=e.command_index,
-                        status=e.status,
-                        text=e.text,
-                    )
-                )
-        return out
-
     def _capture(self, request: ImageRequest) -> list[Message]:
         state = self._telemetry()
         out: list[Message] = []
@@ -271,11 +242,6 @@ class MockAthlete:
             sequence_id=self.executive.sequence_id,
             command_index=self.executive.command_index,
         )
-
-    def _next(self, kind: str) -> int:
-        count = self._counts.get(kind, 0)
-        self._counts[kind] = count + 1
-        return count
 
     def _record_track(self) -> None:
         self._last_track = self.t

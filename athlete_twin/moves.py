@@ -1,7 +1,8 @@
 """The executive's motions, one control tick at a time: generators that yield motor angles and receive what was sensed.
 
 Each generator checks its whole path for reach before it moves anything, so a command that cannot be finished is not
-begun. A move goes as fast as the slowest joint allows, all joints in step.
+begun. A move goes as fast as the slowest joint allows, all joints in step. Joint moves speed up and slow down no faster than
+their joints may; straight moves begin and end at their full speed, at most that of `WHEEL_SPEED`.
 """
 
 from __future__ import annotations
@@ -15,10 +16,12 @@ from typing import Any, ParamSpec
 
 import numpy as np
 
+from athlete_twin.errors import KinematicsError
 from athlete_twin.geometry.arrays import Joints, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, JointMove, LegMove
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.reach import all_legs_ik, leg_ik
 from athlete_twin.model.spec import LEGS
 
@@ -28,6 +31,8 @@ DESCENT_SPEED = 0.06
 """of a guarded descent: a tyre takes 1 kN/m x 0.06 m/s x one tick more than asked for [m/s]"""
 BRANCH_TOLERANCE = 0.03
 """a straight move starts only where the closed-form solution agrees with the joints this well [rad]"""
+PACING_TRIES = 20
+"""to find a step within the joints' speed: at most half of the one before from the fourth on, so none is found only where joints jump"""
 CHECKED_POINTS = 16
 """of a path checked for reach before it begins"""
 AIRBORNE_LOAD = 120.0
@@ -115,7 +120,7 @@ def vertical_load(kin: Kinematics, leg: int, sensed: Sensed) -> float:
 
 @copyable
 def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) -> Steps:
-    """One leg through way-points in joint space at the unloaded speed."""
+    """One leg through way-points in joint space, as fast as the unloaded speed and acceleration allow."""
     spec, leg = kin.spec, command.leg
     if command.waypoints.shape[1] != spec.dof:
         raise MoveFailedError("bad_command", f"way-points have {command.waypoints.shape[1]} joints, need {spec.dof}", leg)
@@ -128,15 +133,15 @@ def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) ->
             f"{np.rad2deg(spec.lower[joint]):.0f} to {np.rad2deg(spec.upper[joint]):.0f} deg",
             leg,
         )
-    q = start.copy()
-    rate = spec.speed_unloaded * command.speed_scale
-    for target in command.waypoints:
-        origin = q[leg].copy()
-        ticks = max(1, int(np.ceil(np.abs(target - origin).max() / (rate * dt))))
-        for k in range(1, ticks + 1):
-            q = q.copy()
-            q[leg] = origin + (target - origin) * (k / ticks)
-            yield q
+    waypoints = np.concatenate([start[leg][None], command.waypoints])
+    try:
+        timing = leg_timing(spec, waypoints, corner_tolerance=command.corner_tolerance, speed_scale=command.speed_scale)
+    except KinematicsError as e:
+        raise MoveFailedError("bad_command", f"leg {leg + 1}: {e}", leg) from e
+    for row in timing.samples(dt):
+        q = start.copy()
+        q[leg] = row
+        yield q
 
 
 @copyable
@@ -152,16 +157,17 @@ def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Ste
     speed = (DESCENT_SPEED if command.guard == "contact" else WHEEL_SPEED) * command.speed_scale
     fraction, q = 0.0, start.copy()
     sensed = yield q
+    posed = start.copy()
+    posed[leg] = _solve(kin, leg, origin, direction)
+    for q in _into_posture(start, posed, kin.spec.speed_loaded * command.speed_scale * dt):
+        sensed = yield q
     tare = vertical_load(kin, leg, sensed) if command.guard == "contact" else 0.0
     while fraction < 1.0:
         rate = (kin.spec.speed_loaded if loaded else kin.spec.speed_unloaded) * command.speed_scale
         step = min(speed * dt / max(length, 1e-9), 1.0 - fraction)
-        target = _solve(kin, leg, origin + (fraction + step) * span, direction)
-        change = np.abs(target - q[leg]).max()
-        if change > rate * dt:
-            step *= rate * dt / change
-            target = _solve(kin, leg, origin + (fraction + step) * span, direction)
-        fraction += step
+        fraction, target = _paced(
+            lambda f: _solve(kin, leg, origin + f * span, direction), q[leg], fraction, step, rate * dt, leg
+        )
         q = q.copy()
         q[leg] = target
         sensed = yield q
@@ -195,20 +201,50 @@ def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> S
     directions = np.array([p.rotation[:, 0] for p in poses])
     size = float(np.linalg.norm(command.translation_in_hex))
     size = max(size, 2.0 * float(np.linalg.norm(command.rotvec_in_hex)), float(np.abs(command.wheel_offsets_in_hex).max()))
-    for fraction in np.linspace(0.0, 1.0, CHECKED_POINTS):
+    posed = _body_pose(kin, command, wheels, directions, 0.0)
+    for leg in range(LEGS):
+        _check_posture(leg, posed[leg], start[leg])
+    for fraction in np.linspace(0.0, 1.0, CHECKED_POINTS)[1:]:
         _body_pose(kin, command, wheels, directions, fraction)
+    if size == 0.0:
+        return
     q, fraction = start.copy(), 0.0
-    rate = kin.spec.speed_loaded * command.speed_scale
-    while fraction < 1.0 and size > 0.0:
-        step = min(WHEEL_SPEED * dt / size, 1.0 - fraction)
-        target = _body_pose(kin, command, wheels, directions, fraction + step)
-        change = np.abs(target - q).max()
-        if change > rate * dt:
-            step *= rate * dt / change
-            target = _body_pose(kin, command, wheels, directions, fraction + step)
-        fraction += step
-        q = target
+    limit = kin.spec.speed_loaded * command.speed_scale * dt
+    for q in _into_posture(start, posed, limit):
         yield q
+    while fraction < 1.0:
+        step = min(WHEEL_SPEED * dt / size, 1.0 - fraction)
+        fraction, q = _paced(
+            lambda f: _body_pose(kin, command, wheels, directions, f), q, fraction, step, limit, -1
+        )
+        yield q
+
+
+def _into_posture(start: Joints, posed: Joints, limit: float) -> Generator[Joints, None, None]:
+    """From where the joints are to the closed form's angles for the same place of the wheels, at most `limit` a tick [rad]."""
+    ticks = int(np.ceil(np.abs(posed - start).max() / limit - 0.5))
+    for k in range(1, ticks + 1):
+        yield start + (posed - start) * (k / (ticks + 0.5))
+
+
+def _paced(
+    angles_at: Callable[[float], np.ndarray], now: np.ndarray, fraction: float, step: float, limit: float, leg: int
+) -> tuple[float, np.ndarray]:
+    """The next fraction of a straight way and its angles, none of which changes by more than `limit` [rad].
+
+    The angles of a way may jump where a rule of the drawings takes over from another: such a small jump is spread over ticks.
+    """
+    for k in range(PACING_TRIES):
+        target = angles_at(fraction + step)
+        change = float(np.abs(target - now).max())
+        if change <= limit:
+            return fraction + step, target
+        step *= min(max(0.999 * limit / change, 0.1), 1.0 if k < 3 else 0.5)
+    if change <= BRANCH_TOLERANCE:
+        return fraction, now + (target - now) * (0.999 * limit / change)
+    raise MoveFailedError(
+        "unreachable", f"a joint would jump by {np.rad2deg(change):.1f} deg {100 * fraction:.0f} % along the way", leg
+    )
 
 
 def _body_pose(
@@ -237,8 +273,13 @@ def _unreachable(leg: int, wheel_in_hex: Vec3) -> MoveFailedError:
 
 
 def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, direction: Vec3) -> None:
-    first = _solve(kin, leg, points[0], direction)
-    off = float(np.abs(first - start[leg]).max())
+    _check_posture(leg, _solve(kin, leg, points[0], direction), start[leg])
+    for point in points[1:]:
+        _solve(kin, leg, point, direction)
+
+
+def _check_posture(leg: int, solved: np.ndarray, now: np.ndarray) -> None:
+    off = float(np.abs(solved - now).max())
     if off > BRANCH_TOLERANCE:
         raise MoveFailedError(
             "unreachable",
@@ -246,5 +287,3 @@ def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, d
             "bring it there with a joint move first",
             leg,
         )
-    for point in points[1:]:
-        _solve(kin, leg, point, direction)

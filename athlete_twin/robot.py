@@ -41,10 +41,13 @@ class Robot(Protocol):
     def receive(self, message: CommandSequence | Stop) -> list[Message]:
         """Take what came up; what goes down at once, such as the receipt."""
 
+    def receive_raw(self, raw: bytes) -> list[Message]:
+        """The same with bytes as they came; what is damaged, or no command, is refused with a receipt."""
+
     def advance(self, until: float) -> list[Message]:
         """Run to mission time `until` [s], or until something goes down, whichever comes first; what goes down.
 
-        Time may pass `until` by less than one control period.
+        Time may pass `until` by less than one physics tick (1/240 s).
         """
 
     def close(self) -> None:

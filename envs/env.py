@@ -7,6 +7,7 @@ truth; the observation never does.
 from __future__ import annotations
 
 import copy
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Literal
 
@@ -66,7 +67,7 @@ class Score:
     """of the last step's reward"""
 
 
-class MissionEnv(gym.Env[Observation, Action]):
+class MissionEnv(gym.Env[Observation, Action], ABC):
     """What both kinds of environment share: building, the clock, reward, end and the picture from above."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
@@ -142,8 +143,7 @@ class MissionEnv(gym.Env[Observation, Action]):
         something, or with a ground inside, the episode is run again from its start.
         """
         state.check(self._made_with())
-        if state.moment is not None and state.moment["robot"] is self._robot:
-            self._put_back(state.moment)
+        if self._put_back(state.moment):
             self._inputs = list(state.inputs)
         else:
             self._begin(state.seed)
@@ -204,20 +204,22 @@ class MissionEnv(gym.Env[Observation, Action]):
             "rewards": self._rewards,
         }
 
+    @abstractmethod
     def _input(self, message: Any) -> Any:
         """One step, with what its action meant."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _observation(self) -> Observation:
-        raise NotImplementedError
+        """What is seen now."""
 
     def _taken(self) -> Moment | None:
         """Copies of all that changes, if that can be copied."""
         return None
 
-    def _put_back(self, moment: Moment) -> None:
-        """Back to what `_taken` gave."""
-        raise NotImplementedError
+    def _put_back(self, moment: Moment | None) -> bool:
+        """Whether the robot is back where `_taken` copied it; only the one that was copied can be."""
+        del moment
+        return False
 
     def _agent(self, seed: int) -> GroundAgent | None:
         """The ground inside, if any."""
@@ -302,6 +304,7 @@ class UplinkEnv(MissionEnv):
     | `acceleration` | (3,) | specific force in `hex` [m/s2], within 100 |
     | `executive_state` | Discrete(5) | 0 unknown, 1 idle, 2 executing, 3 stopped, 4 fault |
     | `receipt` | Discrete | status of the last receipt, by `envs.spaces.RECEIPTS`; 0 for none yet |
+    | `receipt_of` | (1,) | id of the sequence that it names; -1 for none, or for one that arrived damaged |
     | `fault` | Discrete | code of the last fault, by `envs.spaces.FAULTS`; 0 for none yet |
     | `image_present` | MultiBinary(n) | whether a pair of this camera has come down |
     | `image_age` | (n,) | since it was taken [s]; 1e6 for never |
@@ -414,11 +417,14 @@ class UplinkEnv(MissionEnv):
         mine = (self._view, self._score, self._sequences)
         return {"robot": mission.robot, "saved": robot, "ours": taken({"mission": vars(mission), "env": mine}, self._lasting())}
 
-    def _put_back(self, moment: Moment) -> None:
+    def _put_back(self, moment: Moment | None) -> bool:
+        if moment is None or moment["robot"] is not self._robot:
+            return False
         self.mission.robot.restore(moment["saved"])
         ours = taken(moment["ours"], self._lasting())
         vars(self.mission).update(ours["mission"])
         self._view, self._score, self._sequences = ours["env"]
+        return True
 
     def _lasting(self) -> tuple[object, ...]:
         return (self.mission.robot, self.drawings)

@@ -14,7 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import ConfigError, MessageError
 from athlete_twin.link import DelayedLink
 from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, Stop, Telemetry, decode
 from athlete_twin.robot import SimulatedRobot, TruthView
@@ -41,6 +41,8 @@ class Counts:
     rejections: int = 0
     e_stops: int = 0
     faults: int = 0
+    damaged: int = 0
+    """messages from the robot that arrived damaged"""
 
 
 class Mission:
@@ -167,12 +169,16 @@ class Mission:
 
     def _arrivals(self) -> list[Message]:
         for raw in self.up.receive_raw(self.t):
-            message = decode(raw)
-            if isinstance(message, CommandSequence | Stop):
-                self._downward(self.robot.receive(message))
+            self._downward(self.robot.receive_raw(raw))
         seen = []
         for raw in self.down.receive_raw(self.t):
-            message = decode(raw)
+            try:
+                message = decode(raw)
+            except MessageError as e:  # the ground cannot ask for it again; what it awaits it will miss
+                self.counts.damaged += 1
+                if self.recorder:
+                    self.recorder.ground_says("DamagedDownlink", str(e), self.t)
+                continue
             if self.recorder:
                 self.recorder.link(message, raw, self.t)
             self._count(message)

@@ -1,78 +1,74 @@
 """One trial as an MCAP file: what was true, what crossed the link, what the ground believed, what the operator saw.
 
-Written as the trial runs, in small chunks: after an interruption or a kill the file is readable up to the last chunk.
-The log time is mission time: for the uplink when it left, for the downlink when it arrived; the publish time of a
-downlink is when the robot made it. Messages of the link are kept without loss: `recorded_downlinks` gives back what
-the ground saw, in order, so that planning can be repeated without the robot.
+Written as the trial runs. What a method of the recorder took is a chunk of its own and with the operating system when
+the method returns: a process killed at any moment leaves a file that holds all it was given, however long its last plan
+took. The log time is mission time: for the uplink when it left, for the downlink when it arrived; the publish time of a
+downlink is when the robot made it. Messages of the link are kept without loss: `recording.recorded_downlinks` gives back
+what the ground saw, in order, so that planning can be repeated without the robot.
 """
 
 from __future__ import annotations
 
-import base64
+import hashlib
 import json
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from mcap.exceptions import McapError
-from mcap.records import Channel
-from mcap.records import Message as McapMessage
-from mcap.stream_reader import StreamReader
 from mcap.writer import Writer
 
 from athlete_twin.errors import RecordingError
 from athlete_twin.geometry.grid import HeightGrid
-from athlete_twin.messages import Message, decode
+from athlete_twin.messages import Message
+from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.robot import CollisionView, TrackView, TruthView
 from envs.schemas import (
     Json,
     compressed_image,
     frame_transform,
     grid_message,
+    joint_states,
+    link_line,
     nanoseconds,
+    point_cloud,
     poses_in_frame,
     schema,
 )
 from planner.decisions import Decision, Proposal
 
-CHUNK = 64 * 1024
-"""so much is lost at most when the process is killed [byte]"""
 MAP_REACH = 4.0
 """of the believed map kept with each proposal, about the chassis: T12's foot radius and a step [m]"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Recorded:
-    """One line of a recording."""
-
-    topic: str
-    t: float
-    """log time, mission [s]"""
-    made: float
-    """publish time, mission [s]"""
-    content: Json
 
 
 class Recorder:
     """Writes one trial's MCAP file."""
 
-    def __init__(self, path: Path, *, metadata: Mapping[str, str] | None = None) -> None:
+    def __init__(self, path: Path, *, metadata: Mapping[str, str] | None = None, spec: RobotSpec | None = None) -> None:
+        """Create the file.
+
+        Args:
+            path: of the file, written anew.
+            metadata: what names the trial, and all that is needed to run it again.
+            spec: drawings whose joints the true motion is told by; without them no motion can be recorded.
+        """
         self.path = path
         try:
             self._file = path.open("wb")
         except OSError as e:
             raise RecordingError(f"{path}: cannot be written: {e.strerror}; choose a folder you may write to") from e
-        self._writer = Writer(self._file, chunk_size=CHUNK)
+        self._writer = Writer(self._file)
         self._writer.start(profile="", library="athlete_twin")
         if metadata:
             self._writer.add_metadata("trial", dict(metadata))
+        self._names = () if spec is None else joint_names(spec)
         self._schemas: dict[str, int] = {}
         self._channels: dict[str, int] = {}
         self._counts: dict[str, int] = {}
+        self._link = hashlib.sha256()
         self._span: tuple[str, float, float] | None = None
         self._open = True
+        self._writer.flush()
 
     def __enter__(self) -> Recorder:
         return self
@@ -90,25 +86,35 @@ class Recorder:
 
     def write(self, topic: str, content: Json, t: float, *, kind: str = "", made: float | None = None) -> None:
         """Append one message; `kind` names its schema, the topic's own by default."""
-        count = self._counts.get(topic, 0)
-        self._counts[topic] = count + 1
-        self._writer.add_message(
-            channel_id=self._channel(topic, kind or "athlete_twin" + topic.replace("/", ".")),
-            log_time=nanoseconds(t),
-            publish_time=nanoseconds(t if made is None else made),
-            data=json.dumps(content, separators=(",", ":"), default=_plain).encode(),
-            sequence=count,
-        )
+        self._put(topic, content, t, kind=kind, made=made)
+        self._writer.flush()
+
+    def attach(self, name: str, data: bytes, *, media_type: str) -> None:
+        """Keep a file inside the recording, such as the URDF that viewers draw the robot by."""
+        self._writer.add_attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        self._writer.flush()
+
+    @property
+    def link_sha256(self) -> str:
+        """Hash over all that crossed the link so far, as `recording.link_sha256` finds it in the file."""
+        return self._link.hexdigest()
+
+    def result(self, figures: Mapping[str, str]) -> None:
+        """What came of it, for whoever runs it again."""
+        self._writer.add_metadata("result", dict(figures))
+        self._writer.flush()
 
     def link(self, message: Message, raw: bytes, t: float) -> None:
         """A message that left upwards or arrived from above at mission time `t` [s], with its encoded bytes."""
         head, content, blobs = _split(raw)
         content["crc32"] = head["crc32"]
-        self.write(message.topic, content, t, made=message.t)
+        # As it crossed, NaN and all: its checksum is over these very characters.
+        self._put(message.topic, content, t, made=message.t, data=json.dumps(content, separators=(",", ":")).encode())
         for side, png in zip(("left", "right"), blobs, strict=False):
             camera = getattr(message, "camera", "camera")
             image = compressed_image(message.t, f"camera_{camera}", png)
-            self.write(f"{message.topic}/{side}", image, t, kind="foxglove.CompressedImage", made=message.t)
+            self._put(f"{message.topic}/{side}", image, t, kind="foxglove.CompressedImage", made=message.t)
+        self._writer.flush()
 
     def ground_truth(self, grid: HeightGrid) -> None:
         """The true surface, once."""
@@ -135,9 +141,12 @@ class Recorder:
     def track(self, point: TrackView) -> None:
         """A sample of the true motion."""
         transform = frame_transform(point.t, "world", "hex", point.world_from_hex)
-        self.write("/truth/chassis", transform, point.t, kind="foxglove.FrameTransform")
-        docks = getattr(point, "docks", np.zeros(0))
-        self.write("/truth/joints", {"t": point.t, "joints": point.joints, "docks": docks}, point.t)
+        self._put("/truth/chassis", transform, point.t, kind="foxglove.FrameTransform")
+        # The mock's decks do not twist: it says nothing of them.
+        angles = np.concatenate([np.ravel(point.joints), getattr(point, "docks", np.zeros(0))])
+        joints = joint_states(point.t, self._names[: len(angles)], angles)
+        self._put("/truth/joints", joints, point.t, kind="foxglove.JointStates")
+        self._writer.flush()
 
     def booked(self, bin_: str, begin: float, end: float) -> None:
         """The mission time from `begin` to `end` [s] counts as motion, ground, operator or link; neighbours are joined."""
@@ -174,24 +183,29 @@ class Recorder:
             "leg": proposal.leg,
             "footfall_in_world": proposal.footfall_in_world,
             "sequence_id": proposal.sequence.sequence_id,
-            "predicted_margin": _number(proposal.predicted_margin),
-            "predicted_sag": _number(proposal.predicted_sag),
+            "predicted_margin": proposal.predicted_margin,
+            "predicted_sag": proposal.predicted_sag,
+            "predicted_torque_fraction": proposal.predicted_torque_fraction,
+            "predicted_clearance": proposal.predicted_clearance,
+            "unknown_share": proposal.unknown_share,
             "text": proposal.text,
         }
-        self.write("/operator/shown", content, t)
+        self._put("/operator/shown", content, t)
         transform = frame_transform(t, "world", "hex_believed", proposal.world_from_hex)
-        self.write("/ground/chassis", transform, t, kind="foxglove.FrameTransform")
+        self._put("/ground/chassis", transform, t, kind="foxglove.FrameTransform")
         poses = poses_in_frame(t, "world", proposal.preview_world_from_hex)
-        self.write("/ground/preview", poses, t, kind="foxglove.PosesInFrame")
-        self.write("/ground/preview_joints", {"index": proposal.index, "joints": proposal.preview_joints}, t)
+        self._put("/ground/preview", poses, t, kind="foxglove.PosesInFrame")
+        self._put("/ground/preview_joints", {"index": proposal.index, "joints": proposal.preview_joints}, t)
         grid, ok = cropped(proposal)
-        self.write("/ground/terrain", grid_message(t, grid, {"footfall_ok": ok}), t, kind="foxglove.Grid")
+        self._put("/ground/terrain", grid_message(t, grid, {"footfall_ok": ok}), t, kind="foxglove.Grid")
+        self._writer.flush()
 
     def decision(self, proposal: Proposal, decision: Decision, t: float, *, seconds: float) -> None:
         """The operator's answer, given at `t` [s] after `seconds`."""
         content = {
             "proposal": proposal.index,
             "kind": decision.kind,
+            "reason": decision.reason,
             "footfall_in_world": decision.footfall_in_world,
             "leg": decision.leg,
             "cameras": decision.cameras,
@@ -204,6 +218,28 @@ class Recorder:
         """What else the ground did: waited, arrived, found no step."""
         self.write("/ground/action", {"kind": kind, "text": text, **more}, t)
 
+    def seen(self, points_in_world: np.ndarray, t: float, *, made: float) -> None:
+        """Points, shape (n, 3) [m], that the ground at `t` [s] believes to have seen in a picture made at `made` [s]."""
+        self.write("/ground/points", point_cloud(made, "world", points_in_world), t, kind="foxglove.PointCloud", made=made)
+
+    def _put(
+        self, topic: str, content: Json, t: float, *, kind: str = "", made: float | None = None, data: bytes | None = None
+    ) -> None:
+        """One message into the open chunk, which public methods end; `data` where its bytes are given already."""
+        data = _encoded(content) if data is None else data
+        made = t if made is None else made
+        if topic.startswith(("/uplink/", "/downlink/")):
+            self._link.update(link_line(topic, t, made, data))
+        count = self._counts.get(topic, 0)
+        self._counts[topic] = count + 1
+        self._writer.add_message(
+            channel_id=self._channel(topic, kind or "athlete_twin" + topic.replace("/", ".")),
+            log_time=nanoseconds(t),
+            publish_time=nanoseconds(made),
+            data=data,
+            sequence=count,
+        )
+
     def _channel(self, topic: str, kind: str) -> int:
         if topic not in self._channels:
             if kind not in self._schemas:
@@ -213,6 +249,13 @@ class Recorder:
                 topic=topic, message_encoding="json", schema_id=self._schemas[kind]
             )
         return self._channels[topic]
+
+
+def joint_names(spec: RobotSpec) -> tuple[str, ...]:
+    """Names of all joints in the order of the track's angles: legs first, then docks, as in the URDF."""
+    legs = [f"leg{leg + 1}_{name}" for leg in range(LEGS) for name in spec.joint_names]
+    docks = [f"{deck.name.replace('deck', 'dock')}_{turn}" for deck in spec.decks for turn in ("bend", "twist")]
+    return (*legs, *docks)
 
 
 def cropped(proposal: Proposal, reach: float = MAP_REACH) -> tuple[HeightGrid, np.ndarray]:
@@ -233,48 +276,6 @@ def cropped(proposal: Proposal, reach: float = MAP_REACH) -> tuple[HeightGrid, n
     return part, proposal.footfall_ok[sx, sy].copy()
 
 
-def read_recording(path: Path) -> Iterator[Recorded]:
-    """All messages of a recording in the order written; of one that was cut short, those that are whole."""
-    channels: dict[int, str] = {}
-    try:
-        with path.open("rb") as file:
-            for record in StreamReader(file).records:
-                if isinstance(record, Channel):
-                    channels[record.id] = record.topic
-                elif isinstance(record, McapMessage):
-                    yield Recorded(
-                        topic=channels[record.channel_id],
-                        t=record.log_time * 1e-9,
-                        made=record.publish_time * 1e-9,
-                        content=json.loads(record.data),
-                    )
-    except FileNotFoundError as e:
-        raise RecordingError(f"{path}: no such recording") from e
-    except (McapError, EOFError):
-        # Cut off in the middle of a record: everything before it was given out.
-        return
-
-
-def recorded_downlinks(path: Path) -> list[tuple[float, Message]]:
-    """When each downlink arrived [s] and the message itself, checksum verified, in order."""
-    out: list[tuple[float, Message]] = []
-    pending: tuple[Recorded, list[bytes]] | None = None
-    for line in read_recording(path):
-        if not line.topic.startswith("/downlink/"):
-            continue
-        if line.topic.endswith(("/left", "/right")):
-            if pending is not None:
-                pending[1].append(base64.b64decode(line.content["data"]))
-                if len(pending[1]) == 2:
-                    out.append((pending[0].t, _joined(pending[0], pending[1])))
-                    pending = None
-        elif "left" in line.content:
-            pending = (line, [])
-        else:
-            out.append((line.t, _joined(line, [])))
-    return out
-
-
 def _split(raw: bytes) -> tuple[Json, Json, list[bytes]]:
     """Head, content and images of an encoded message."""
     head, body = raw.split(b"\n", 1)
@@ -287,18 +288,13 @@ def _split(raw: bytes) -> tuple[Json, Json, list[bytes]]:
     return cast(Json, json.loads(head)), cast(Json, json.loads(parts[0])), parts[1:]
 
 
-def _joined(line: Recorded, blobs: list[bytes]) -> Message:
-    content = dict(line.content)
-    crc32 = content.pop("crc32")
-    text = json.dumps(content, separators=(",", ":")).encode()
-    body = b"".join(len(part).to_bytes(4, "big") + part for part in (text, *blobs))
-    head = json.dumps({"topic": line.topic, "crc32": crc32, "length": len(body)}).encode()
-    return decode(head + b"\n" + body)
-
-
-def _number(value: float) -> float | None:
-    """JSON knows no NaN."""
-    return value if np.isfinite(value) else None
+def _encoded(content: Json) -> bytes:
+    """JSON, which knows no NaN and no infinity: viewers refuse them, null says that there is no figure."""
+    try:
+        return json.dumps(content, separators=(",", ":"), default=_plain, allow_nan=False).encode()
+    except ValueError:
+        loose = json.loads(json.dumps(content, default=_plain), parse_constant=lambda _constant: None)
+        return json.dumps(loose, separators=(",", ":")).encode()
 
 
 def _plain(value: Any) -> Any:

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from athlete_twin.errors import RecordingError
-from envs.recorder import read_recording, recorded_downlinks
+from envs.recording import read_recording, recorded_downlinks
 from envs.schemas import Json
 from planner.decisions import Decision, GroundAgent, Proposal
 
@@ -52,7 +52,7 @@ def replay(path: Path, agent: GroundAgent) -> Iterator[Replayed]:
                     f"{path}: at {line.t:.1f} s the operator decided, planned again the ground says {proposal}"
                 )
             before = shown[line.content["proposal"]]
-            sequence = agent.decide(_decision(line.content), line.t)
+            sequence = agent.decide(decision_of(line.content), line.t)
             uplink = sent.get(sequence.sequence_id) if sequence else None
             yield Replayed(proposal=proposal, shown=before, uplink=uplink)
 
@@ -70,10 +70,12 @@ def same_proposal(replayed: Replayed) -> bool:
     )
 
 
-def _decision(content: Json) -> Decision:
+def decision_of(content: Json) -> Decision:
+    """The decision that a recording holds, content of `/operator/decision`."""
     footfall = content["footfall_in_world"]
     return Decision(
         kind=content["kind"],
+        reason=content["reason"],
         footfall_in_world=None if footfall is None else np.array(footfall, dtype=float),
         leg=content["leg"],
         cameras=tuple(content["cameras"]),

@@ -113,6 +113,7 @@ def downlink_space(spec: RobotSpec, cameras: tuple[str, ...]) -> gym.spaces.Dict
         **{name: _box(-bound, bound, shape) for name, (bound, shape) in _telemetry_bounds(spec).items()},
         "executive_state": gym.spaces.Discrete(len(STATES)),
         "receipt": gym.spaces.Discrete(len(RECEIPTS)),
+        "receipt_of": _box(-1.0, NEVER, (1,)),
         "fault": gym.spaces.Discrete(len(FAULTS)),
         "fault_age": _box(0.0, NEVER, (1,)),
     }
@@ -136,14 +137,21 @@ class DownlinkView:
         self._kept: dict[str, np.ndarray] = {"goal_in_world": bounded(goal, FAR)}
         self._kept |= {name: np.zeros(shape, np.float32) for name, (_, shape) in _telemetry_bounds(spec).items()}
         self._counts = {"executive_state": np.int64(0), "receipt": np.int64(0), "fault": np.int64(0)}
+        self._kept["receipt_of"] = np.full(1, -1.0, np.float32)
         self._said_at: dict[str, float] = {}
         """when telemetry, fault and each camera's pair were made [s]"""
+        self._newest: dict[str, int] = {}
+        """highest `seq` of each kind of message, and of each camera's pairs: a link may reorder"""
         if cameras:
             slots = (len(cameras), *image_size(spec, cameras))
             self._kept |= {"left": np.zeros(slots, np.uint8), "right": np.zeros(slots, np.uint8)}
 
     def take(self, message: Message) -> None:
-        """Remember a message that has come down."""
+        """Remember a message that has come down, unless a newer one of its kind came before."""
+        kind = message.topic + getattr(message, "camera", "")
+        if message.seq < self._newest.get(kind, 0):
+            return
+        self._newest[kind] = message.seq
         if isinstance(message, Telemetry):
             for name, bound in self._bounds.items():
                 value = message.torques / self.spec.torque_limits if name == "torques" else getattr(message, name)
@@ -152,6 +160,7 @@ class DownlinkView:
             self._said_at["telemetry"] = message.t
         elif isinstance(message, Receipt):
             self._counts["receipt"] = np.int64(RECEIPTS.index(message.status))
+            self._kept["receipt_of"] = np.full(1, min(message.sequence_id, NEVER), np.float32)
         elif isinstance(message, Fault):
             self._counts["fault"] = np.int64(FAULTS.index(message.code if message.code in FAULTS else "other"))
             self._said_at["fault"] = message.t

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,12 +28,15 @@ from envs.recorder import Recorder
 from envs.scoring import TIPPED, Scorer, Summary, path_of, tilt
 from envs.stage_times import StageTimes
 from planner.decisions import GroundAgent, Operator
+from planner.eyes import Look
 
 SCHEMA_VERSION = 1
 OUTCOMES = ("goal_reached", "cycles_done", "time_limit", "fault", "tip_over", "no_step", "operator_abort")
 INTERRUPTED = "interrupted at the console"
 LOOK = 1.0
 """how often the runner looks at what happened, when nothing else stops the mission [s]"""
+THINNED = 4
+"""of a picture's points every so many-th along rows and columns is recorded: enough to see what was seen"""
 HASH_DECIMALS = 9
 """of metres, radians and seconds in the trajectory's hash: below any effect, above the last bits of a sum"""
 
@@ -144,11 +147,15 @@ class Trial:
     progress: ProgressReport = lambda _state: None
     interrupted: bool = False
     """set from outside, by a signal's handler or another thread, to end the trial within a second of mission time"""
+    origin: Mapping[str, str] = field(default_factory=dict)
+    """what the recording says of where it comes from, as `envs.origin` puts it"""
+    urdf: bytes = b""
+    """goes into the recording, for viewers that draw the robot"""
 
     def run(self) -> TrialResult:
         """Run to an outcome; `trial.json` and `trial.mcap` are written when it returns."""
         names = ("robot", "scenario", "variant", "seed", "operator")
-        metadata = {name: str(getattr(self.setup, name)) for name in names}
+        metadata = {name: str(getattr(self.setup, name)) for name in names} | dict(self.origin)
         truth = self.robot.truth()
         self.scorer = Scorer(
             spec=self.spec,
@@ -161,7 +168,9 @@ class Trial:
         self._tipped = False
         self._last_completed = -1
         self._written = [0, 0, 0]
-        with Recorder(self.out / "trial.mcap", metadata=metadata) as self._recorder:
+        with Recorder(self.out / "trial.mcap", metadata=metadata, spec=self.spec) as self._recorder:
+            if self.urdf:
+                self._recorder.attach("robot.urdf", self.urdf, media_type="application/xml")
             self._recorder.ground_truth(self.grid)
             self.mission = Mission(
                 self.robot,
@@ -180,8 +189,23 @@ class Trial:
             self._record_track()
             self._recorder.ground_says("outcome", reason, self.mission.t, outcome=outcome)
             result = self._result(outcome, reason)
+            self._recorder.result(
+                {
+                    "outcome": outcome,
+                    "reason": reason,
+                    "trajectory_sha256": result.trajectory_sha256,
+                    "link_sha256": self._recorder.link_sha256,
+                }
+            )
         write_json(self.out / "trial.json", asdict(result))
         return result
+
+    def looked(self, look: Look) -> None:
+        """Record what the ground made of a picture: the points that went into its map, thinned."""
+        depth = look.masked.depth
+        points = depth.points_in_camera()[::THINNED, ::THINNED][~look.masked.mask[::THINNED, ::THINNED]]
+        seen = points[np.isfinite(points).all(axis=1)]
+        self._recorder.seen(look.world_from_camera.apply(seen), self.mission.t, made=look.t)
 
     def _to_outcome(self) -> tuple[str, str]:
         mission, scorer = self.mission, self.scorer

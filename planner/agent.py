@@ -10,7 +10,7 @@ charged by a fixed table, so that results do not depend on the machine.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -24,29 +24,31 @@ from athlete_twin.messages import (
     JointMove,
     LegMove,
     Message,
-    Receipt,
-    StereoPair,
     Telemetry,
 )
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.spec import LEGS, RobotSpec
 from planner.belief import Belief, BeliefFilter
 from planner.config import PlannerConfig
 from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplink, Waiting
 from planner.eyes import Eyes, StageTimer, untimed
-from planner.footfall import FootfallMap, score_footfalls
+from planner.footfall import FootfallMap, score_footfalls, unknown_share
+from planner.gait.aside import AsidePlan, Asides, NoAside, plan_aside
 from planner.gait.lift_and_look import raised_path
 from planner.gait.skeleton import regular_places, reverse_wave, stride
 from planner.gait.step_plan import BodyShift, StepPlan
-from planner.gait.step_search import Ground, StepRequest, search_step
+from planner.gait.step_search import Ground, StepRequest, on_path, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
+from planner.motion.cornering import free_corner_tolerance
 from planner.recovery import LOWERINGS, Recovery
 from planner.route.drive import DrivePlan, plan_drive
 from planner.route.guide import Guide, Way, refusals
 from planner.sequence import as_sequence, lower_commands, step_commands, straighten_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
+from planner.underway import Inbox, Underway
 
 SECONDS_PER_PLAN = 2.0
 """charged for planning one step [s]"""
@@ -57,28 +59,9 @@ STANDING_LOAD = 150.0
 UNKNOWN_RISE = 0.10
 """ground nobody saw is taken for so much higher than the highest beside it, for collisions: with the swing's own
 clearance rocks of 0.17 m (SDM-B) hide there without harm [m]"""
-LOST_AFTER = 60.0
-"""a sequence that nobody has acknowledged for so long is lost: three round trips over the slowest link [s]"""
 FLAT_RADIUS = 8.0
 """of the flat map of a variant without pictures [m]"""
 MAX_TORQUE_FRACTION = 1.0
-
-
-@dataclass(kw_only=True)
-class _Sent:
-    """The sequence that is up there."""
-
-    sequence: CommandSequence
-    plan: StepPlan | None
-    pairs_awaited: int
-    lift: StepPlan | None = None
-    """the step of which only the lift-off was sent, to see what its leg hid"""
-    drive: DrivePlan | None = None
-    pairs: list[StereoPair] = field(default_factory=list)
-    heard: bool = False
-    """whether any receipt for it has come down"""
-    done: bool = False
-    fault: Fault | None = None
 
 
 class GroundAgent:
@@ -110,11 +93,14 @@ class GroundAgent:
         self._rng = np.random.default_rng([seed, 7001])
         self._belief: Belief | None = None
         self._telemetry: Telemetry | None = None
-        self._sent: _Sent | None = None
+        self._sent: Underway | None = None
+        self._inbox = Inbox()
         self._proposal: Proposal | None = None
         self._plan: StepPlan | None = None
         self._lift: StepPlan | None = None
         self._drive: DrivePlan | None = None
+        self._aside: AsidePlan | None = None
+        self._asides = Asides(config.aside)
         self._walks = not config.driving
         """until the next step is done: the operator refused to drive"""
         self._attempt: StepPlan | None = None
@@ -128,6 +114,8 @@ class GroundAgent:
         )  # fmt: skip
         """which way the gait goes, and the route it follows"""
         self._behind = 0.0
+        self._swayed: Vec3 | None = None if config.step.sway is None else np.zeros(3)
+        """by which the chassis is off its straight path, in world [m]"""
         self._surveyed = config.fusion_method == "flat"
         self._levelled = False
         self._looked: dict[int, Vec2] = {}
@@ -153,25 +141,17 @@ class GroundAgent:
         """How often every leg has stepped."""
         return min((self.stepped[leg] for leg in range(LEGS)), default=0)
 
-    def observe(self, message: Message, t: float) -> None:  # noqa: ARG002, messages carry the time that matters here
+    def observe(self, message: Message, t: float) -> None:
         """Take one message that came down and arrived at mission time `t` [s]."""
+        if not self._inbox.admits(message):
+            return
         if isinstance(message, Telemetry):
             self._telemetry = message
             if self._sent is None or self._belief is None:
                 self._belief = self._filter.update(message)
-        elif isinstance(message, StereoPair) and self._sent is not None:
-            self._sent.pairs.append(message)
-        elif isinstance(message, Fault):
-            if self._sent is not None and message.sequence_id == self._sent.sequence.sequence_id:
-                self._sent.fault = message
-        elif isinstance(message, Receipt) and self._sent is not None:
-            ours = message.sequence_id == self._sent.sequence.sequence_id
-            self._sent.heard |= ours
-            if ours and message.command_index >= 0 and message.status == "completed":
-                self._completed(message.command_index)
-            ended = message.status in ("failed", "cancelled") or (message.command_index < 0 and message.status == "completed")
-            if ours and ended:
-                self._sent.done = True
+        if self._sent is not None:
+            for index in self._sent.take(message, t):
+                self._completed(self._sent, index)
 
     def next(self, t: float) -> Action:
         """What to do now, at mission time `t` [s]."""
@@ -179,15 +159,15 @@ class GroundAgent:
             return NoStep(reason=self._stopped)
         if self._belief is None or self._telemetry is None:
             return Waiting(reason="first telemetry")
-        if self._sent is not None and not self._sent.heard and t - self._sent.sequence.t > LOST_AFTER:
-            # It never arrived: on the way up it was lost, or the executive was without power. Proposed again, as new.
-            self._sent = None
         if self._sent is not None:
             sent = self._sent
             settled = self._telemetry.executive_state != "executing" and self._telemetry.t >= sent.sequence.t
-            if not sent.done or not settled:
-                return Waiting(reason="telemetry: the robot moves" if not sent.done else "telemetry after the motion")
-            if sent.fault is None and len(sent.pairs) < sent.pairs_awaited:
+            if not sent.outcome or not settled:
+                if sent.silent(t):
+                    sent.sent(t)
+                    return Uplink(sequence=sent.sequence)
+                return Waiting(reason="telemetry: the robot moves" if not sent.outcome else "telemetry after the motion")
+            if sent.fault is None and len(sent.pairs) < sent.pairs_awaited and not sent.silent(t):
                 return Waiting(reason=f"pictures: {len(sent.pairs)} of {sent.pairs_awaited}")
             self._digest(sent)
             if self._stopped:
@@ -205,20 +185,23 @@ class GroundAgent:
             return None
         lift, self._lift = self._lift, None
         drive, self._drive = self._drive, None
+        aside, self._aside = self._aside, None
         self._proposal, self._plan = None, None
         if decision.kind == "approve":
-            return self._send(replace(proposal.sequence, t=t), plan, lift=lift, drive=drive)
+            return self._send(replace(proposal.sequence, t=t), plan, lift=lift, drive=drive, aside=aside)
         if decision.kind == "reject":
             refused = plan or lift
             if drive is not None:
                 self._walks = True
+            elif aside is not None:
+                self._asides.give_up()
             elif refused is None:
                 self._surveyed, self._recovery.retreat = True, None
             else:
                 self._recovery.refuse(refused)
         elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
-            if plan is None:  # a look around, a lift-off or a way back has no footfall: the proposal comes again
-                self._proposal, self._lift, self._drive = proposal, lift, drive
+            if plan is None:  # a look around, a lift-off, a move aside or a way back has no footfall: the proposal comes again
+                self._proposal, self._lift, self._drive, self._aside = proposal, lift, drive, aside
                 return None
             self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
             self._forced_leg = plan.leg
@@ -233,12 +216,9 @@ class GroundAgent:
 
     # --- what came down -------------------------------------------------------------------------------------------
 
-    def _completed(self, index: int) -> None:
+    def _completed(self, sent: Underway, index: int) -> None:
         """Keep track of which wheel stands while the receipts come in."""
-        if self._sent is None:
-            return
-        plan, commands = self._sent.plan or self._sent.lift, self._sent.sequence.commands
-        drive = self._sent.drive
+        plan, commands, drive = sent.plan or sent.lift, sent.sequence.commands, sent.drive
         if drive is not None and commands[index] is drive.command:
             self._filter.rolled(drive.contacts_in_world)
             self.eyes.filter.drove(float(np.linalg.norm(drive.way)))
@@ -251,22 +231,30 @@ class GroundAgent:
         elif guard == "contact":
             self._filter.land(plan.leg)
 
-    def _digest(self, sent: _Sent) -> None:
+    def _digest(self, sent: Underway) -> None:
         """A sequence has ended: update the belief, fuse its pictures, take note of a fault."""
         self._sent = None
         if self._telemetry is None:
             return
         if sent.fault is not None:
             self._faulted(sent, sent.fault)
+        elif sent.outcome != "completed":
+            pass  # refused: nothing has moved
+        elif sent.aside is not None:
+            self._asides.took(sent.aside.turn)
         elif sent.plan is not None:
             self.steps_taken += 1
             self.stepped[sent.plan.leg] += 1
             self.last_plan = sent.plan
             self._walks = not self.config.driving
             regular = stride(self.spec, self.config.step.gait) / LEGS
-            advance = float(np.linalg.norm(sent.plan.shift.translation_in_hex[:2]))
+            shift = sent.plan.shift
+            advance = float(np.linalg.norm((shift.translation_in_hex - shift.sway_in_hex)[:2]))
+            if self._swayed is not None:
+                self._swayed = self._swayed + sent.plan.preview_world_from_hex[0].rotate(shift.sway_in_hex)
             self._behind = max(0.0, self._behind + regular - advance)
             self._recovery.reset()
+            self._asides.stepped()
         self._belief = self._filter.update(self._telemetry)
         fresh = self.config.fusion_method
         if sent.pairs and (fresh == "single_view" or (fresh == "lift_and_image" and sent.lift is not None)):
@@ -294,7 +282,7 @@ class GroundAgent:
         self.eyes.map.lower(self._filter.settle(over, sigma=LEVEL_SIGMA))
         self._belief = self._filter.update(telemetry)
 
-    def _faulted(self, sent: _Sent, fault: Fault) -> None:
+    def _faulted(self, sent: Underway, fault: Fault) -> None:
         if sent.drive is not None and fault.command_index <= 0:
             # Telemetry holds no wheel angles: how far it rolled nobody knows.
             self._stopped = f"a drive broke off, where the robot stands is not known: {fault.text}"
@@ -302,6 +290,8 @@ class GroundAgent:
         plan = sent.plan or sent.lift
         if plan is None or self._telemetry is None:
             self._surveyed = True
+            if sent.aside is not None:
+                self._asides.give_up()
             self._recovery.attempts += 1
             return
         self._recovery.fault(fault, plan, self._telemetry.motors[plan.leg])
@@ -343,7 +333,7 @@ class GroundAgent:
         if len(in_air) and self._recovery.lowers and self._attempt is not None:
             return self._lower(belief, ground, self._attempt, t)
         with self._timer("route"):
-            ways = self.guide.ways(belief, ground)
+            ways = self.guide.ways(replace(belief, world_from_hex=on_path(belief, self._swayed)), ground)
         forced_xy, self._forced_xy = self._forced_xy, None
         if not self._walks and self._forced_leg is None:
             drive = plan_drive(
@@ -355,30 +345,20 @@ class GroundAgent:
         failed: list[tuple[Way, str, Counter[str]]] = []
         hidden: Counter[int] = Counter()
         looked = len(in_air) > 0
+        unmoved: NoAside | None = None
         for way, leg, cautious, wide, due in self._tries(belief, ways[: 1 if forced_xy is not None else None], in_air, ground):
             if not due and not looked:
                 looked = True
                 look = self._look_beneath(belief, ground, ways[0], hidden, t)
                 if look is not None:
                     return look
-            request = StepRequest(
-                leg=leg,
-                heading=way.heading,
-                remaining=way.remaining,
-                behind=self._behind,
-                footfall_xy=forced_xy,
-                refused_xy=self._recovery.refused_xy,
-                extra_lift=self._recovery.extra_lift,
-                next_leg=self._upcoming(belief, way.heading, leg)[0],
-                cautious=cautious,
-                wide=wide,
-            )
-            self._ground_s += SECONDS_PER_PLAN
-            with self._timer("plan"):
-                found = search_step(
-                    self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload,
-                    rng=self._rng,
-                )  # fmt: skip
+            if way is not ways[0] and unmoved is None:
+                aside = self._go_aside(belief, ground, ways[0], t)
+                if isinstance(aside, Proposal):
+                    return aside
+                unmoved = aside
+            request = self._request(belief, way, leg, cautious=cautious, wide=wide, footfall_xy=forced_xy)
+            found = self._search(belief, ground, request)
             if isinstance(found, StepPlan):
                 self._forced_leg = None
                 self.guide.took(way)
@@ -400,7 +380,70 @@ class GroundAgent:
             self._recovery.lowerings += 1
             return self._lower(belief, ground, self._attempt, t)
         look = None if looked else self._look_beneath(belief, ground, ways[0], hidden, t)
-        return NoStep(reason=reason, refused=dict(refused)) if look is None else look
+        if look is not None:
+            return look
+        aside = self._go_aside(belief, ground, ways[0], t) if unmoved is None else unmoved
+        if isinstance(aside, Proposal):
+            return aside
+        return NoStep(reason=" | ".join(filter(None, (reason, aside.reason))), refused=dict(refused + aside.refused))
+
+    def _request(
+        self, belief: Belief, way: Way, leg: int, *, cautious: bool = True, wide: bool = True, footfall_xy: Vec2 | None = None
+    ) -> StepRequest:
+        return StepRequest(
+            leg=leg,
+            heading=way.heading,
+            remaining=way.remaining,
+            behind=self._behind,
+            yaw=self._asides.yaw,
+            swayed=self._swayed,
+            footfall_xy=footfall_xy,
+            refused_xy=self._recovery.refused_xy,
+            extra_lift=self._recovery.extra_lift,
+            next_leg=self._upcoming(belief, way.heading, leg)[0],
+            cautious=cautious,
+            wide=wide,
+        )
+
+    def _search(self, belief: Belief, ground: Ground, request: StepRequest) -> StepPlan | NoStep:
+        self._ground_s += SECONDS_PER_PLAN
+        with self._timer("plan"):
+            return search_step(
+                self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload, rng=self._rng
+            )
+
+    def _go_aside(self, belief: Belief, ground: Ground, way: Way, t: float) -> Proposal | NoAside:
+        """No leg finds a step the way the gait goes: the chassis out of the way, wheels down, if that gives one that is due a step."""
+        standing = bool(belief.planted.all())
+        if self._asides.barred or not standing:
+            return NoAside(reason=self._asides.barred if standing else "", refused=Counter())
+
+        def step_from(there: Belief, turn: float) -> StepPlan | None:
+            onward = self.guide.way_from(replace(there, world_from_hex=on_path(there, self._swayed)), ground, way.aside)
+            for leg in self._order(there, onward.heading, np.empty(0))[0]:
+                request = replace(self._request(there, onward, leg), yaw=self._asides.yaw + turn)
+                found = self._search(there, ground, request)
+                if isinstance(found, StepPlan):
+                    return found
+            return None
+
+        aside = plan_aside(
+            self.kin, belief, ground, way.heading, step_from, config=self.config.aside, step=self.config.step,
+            payload_kg=self._payload,
+        )  # fmt: skip
+        if isinstance(aside, NoAside):
+            return aside
+        self._aside = aside
+        self._proposal = Proposal(
+            index=self._next_proposal(), t=t, kind="shift", leg=-1,
+            footfall_in_world=aside.world_from_hex[-1].translation.copy(),
+            sequence=self._as_sequence([aside.command], t, cameras=self._cameras(None, belief)),
+            preview_joints=aside.preview_joints, preview_world_from_hex=aside.world_from_hex,
+            terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
+            cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
+            world_from_hex=belief.world_from_hex, predicted_margin=aside.margin, predicted_sag=0.0, text=aside.text,
+        )  # fmt: skip
+        return self._proposal
 
     def _look_beneath(self, belief: Belief, ground: Ground, way: Way, hidden: Counter[int], t: float) -> Action | None:
         """No leg that is due finds a step, some for want of seen ground, which a standing leg may hide: it is lifted for pictures.
@@ -415,11 +458,7 @@ class GroundAgent:
             if looked is not None and np.linalg.norm(place - looked) < self.config.step.gait.min_step:
                 continue
             request = StepRequest(leg=leg, heading=way.heading, remaining=way.remaining, on_the_spot=True)
-            self._ground_s += SECONDS_PER_PLAN
-            with self._timer("plan"):
-                found = search_step(
-                    self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload, rng=self._rng
-                )
+            found = self._search(belief, ground, request)
             if isinstance(found, StepPlan) and found.lift_in_hex is not None:
                 self._looked[leg] = place.copy()
                 return self._lift_first(found, belief, ground, t)
@@ -485,7 +524,9 @@ class GroundAgent:
         """The wheel struck something in the air: back the way it came, and a look at what was there."""
         wheel_in_hex = self.kin.leg_wheel(plan.leg, belief.joints[plan.leg]).translation
         look = () if self.config.fusion_method == "flat" else seeing(self.spec, wheel_in_hex, most=self.config.survey.each_step)
-        sequence = self._as_sequence([JointMove(leg=plan.leg, waypoints=waypoints)], t, cameras=look)
+        # The same corners, cut as they were on the way there.
+        back = JointMove(leg=plan.leg, waypoints=waypoints, corner_tolerance=plan.swing_corner_tolerance)
+        sequence = self._as_sequence([back], t, cameras=look)
         preview = np.repeat(belief.joints[None], len(waypoints) + 1, axis=0)
         preview[1:, plan.leg] = waypoints
         self._plan = None
@@ -514,12 +555,17 @@ class GroundAgent:
         collision = LegCollision(self.spec, ground.filled, carried, belief.joints, plan.leg, step.collision)
         up = raised_path(self.kin, plan, belief, collision, config=self.config.look, payload_kg=self._payload)
         commands: list[Command] = [LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact")]
+        tolerance = free_corner_tolerance(
+            up, [collision.is_free_near_ground] * (len(up) - 1), most=step.swing.corner_tolerance,
+            spacing=step.swing.smoothing.fine_resolution,
+        )  # fmt: skip
         if len(up) > 1:
-            commands.append(JointMove(leg=plan.leg, waypoints=up[1:]))
+            commands.append(JointMove(leg=plan.leg, waypoints=up[1:], corner_tolerance=tolerance))
         preview = np.repeat(belief.joints[None], len(up) + 1, axis=0)
         preview[1:, plan.leg] = up
         # Its swing is the way up: that is what leads back, should the leg strike something on it.
-        self._plan, self._lift = None, replace(plan, swing=up)
+        raised_in = leg_timing(self.spec, up, corner_tolerance=tolerance).duration
+        self._plan, self._lift = None, replace(plan, swing=up, swing_corner_tolerance=tolerance, swing_time=raised_in)
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=plan.leg,
             footfall_in_world=belief.contacts_in_world[plan.leg].copy(),
@@ -528,6 +574,7 @@ class GroundAgent:
             terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
+            predicted_torque_fraction=plan.peak_torque_fraction, predicted_clearance=plan.lift_clearance,
             text=f"leg {plan.leg + 1} lifts off, and pictures of what it hid",
         )  # fmt: skip
         return self._proposal
@@ -580,13 +627,15 @@ class GroundAgent:
             grid, variance = self._plane(belief)
             filled = cautious = grid
         else:
-            fused = without_spikes(self.eyes.map.fused(), config=config.spikes)
+            fused, collision = without_spikes(self.eyes.map.fused(), config=config.spikes), config.step.collision
             if config.unknown_terrain == "flat":
                 grid = filled = cautious = fused.filled("nearest").grid
             else:
                 # What nobody saw may hide a rock as high as the highest beside it, and a little more.
                 grid, filled = fused.grid, fused.filled("nearest").grid
-                cautious = fused.filled("highest", margin=UNKNOWN_RISE).grid
+                guessed = fused.filled("highest", margin=UNKNOWN_RISE)
+                # Where the map is vague a swing keeps farther off, so far that its clearance is of the vaguest height allowed for.
+                cautious = guessed.raised(collision.map_deviations, over=collision.map_error_covered).grid
             # A cell that is believed to be as high as its neighbours is believed to be sure; any other of which nobody knows is not.
             believed = fused.unknown & (config.unknown_terrain == "flat")
             variance = np.where(believed, 0.0, fused.variance)
@@ -615,7 +664,7 @@ class GroundAgent:
         commands: list[Command] | None = None,
         text: str = "",
     ) -> Proposal:
-        cameras = self._cameras(plan, belief)
+        cameras = self._cameras(plan.leg, belief)
         sequence = self._as_sequence(step_commands(plan) if commands is None else commands, t, cameras=cameras)
         footfalls: FootfallMap = ground.footfalls
         x, y = plan.footfall_in_world[:2]
@@ -637,32 +686,37 @@ class GroundAgent:
             world_from_hex=belief.world_from_hex,
             predicted_margin=min(plan.swing_margin, plan.landed_margin),
             predicted_sag=plan.sag,
-            text=text or f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, then the chassis shifts by {shift:.0f} cm{cut}",
+            predicted_torque_fraction=plan.peak_torque_fraction,
+            predicted_clearance=float("nan") if plan.lift_in_hex is None else plan.lift_clearance,
+            unknown_share=unknown_share(ground.heights, plan.footfall_in_world, radius=self.spec.wheel.radius),
+            text=text or f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, {plan.swing_time:.0f} s through the air, "
+            f"then the chassis shifts by {shift:.0f} cm{cut}",
         )
         return self._proposal
 
-    def _cameras(self, plan: StepPlan, belief: Belief) -> tuple[str, ...]:
-        """Which cameras look at the places where the next legs will step."""
+    def _cameras(self, leg: int | None, belief: Belief) -> tuple[str, ...]:
+        """Which cameras look at the places where the next legs will step, once `leg` has."""
         if self.config.fusion_method == "flat":
             return ()
         offset = self.goal - belief.world_from_hex.translation[:2]
         heading = offset / max(float(np.linalg.norm(offset)), 1e-9) if self.guide.heading is None else self.guide.heading
-        upcoming = self._upcoming(belief, heading, plan.leg)[:3]
+        upcoming = self._upcoming(belief, heading, leg)[:3]
         places = regular_places(self.spec, belief.world_from_hex) + 0.5 * stride(self.spec, self.config.step.gait) * heading
         names: dict[str, None] = {}
         hex_from_world = belief.world_from_hex.inverse()
         floor = float(np.mean(belief.contacts_in_world[:, 2]))
-        for leg in upcoming:
+        for coming in upcoming:
             for ahead in (0.0, stride(self.spec, self.config.step.gait)):
-                point: Vec3 = np.append(places[leg] + ahead * heading, floor)
+                point: Vec3 = np.append(places[coming] + ahead * heading, floor)
                 for name in seeing(self.spec, hex_from_world.apply(point), most=2):
                     names[name] = None
         return tuple(names)[: self.config.survey.each_step]
 
-    def _upcoming(self, belief: Belief, heading: Vec2, leg: int) -> list[int]:
-        """All legs in the order in which their turns come once `leg` has stepped."""
+    def _upcoming(self, belief: Belief, heading: Vec2, leg: int | None) -> list[int]:
+        """All legs in the order in which their turns come, once `leg` has stepped."""
         later = Counter(self.stepped)
-        later[leg] += 1
+        if leg is not None:
+            later[leg] += 1
         wave = reverse_wave(self.spec, (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2])
         return sorted(wave, key=lambda other: later[other])
 
@@ -675,10 +729,11 @@ class GroundAgent:
         return sequence
 
     def _send(
-        self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None, drive: DrivePlan | None = None
-    ) -> CommandSequence:
+        self, sequence: CommandSequence, plan: StepPlan | None, *, lift: StepPlan | None = None, drive: DrivePlan | None = None,
+        aside: AsidePlan | None = None,
+    ) -> CommandSequence:  # fmt: skip
         awaited = sum(len(c.cameras) * len(c.brackets) for c in sequence.commands if isinstance(c, ImageRequest))
-        self._sent = _Sent(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive)
+        self._sent = Underway(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive, aside=aside)
         if plan is not None or lift is not None:
             self._attempt = plan or lift
         if any(isinstance(c, JointMove) for c in sequence.commands):

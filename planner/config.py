@@ -14,7 +14,7 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
     leg_planner = "sbl"             # sbl, or one of OMPL's
     smoothing = "dijkstra_bisect"
     gait = "reverse_wave"
-    body_motion = "straight"
+    body_motion = "straight"        # straight, sway (off the path to where the next swing asks least of the joints, footfalls kept)
     touchdown = "guarded"
     unknown_terrain = "refuse"      # refuse, flat (an unknown cell is as high as its neighbours)
     level_deck_deg = 0.5
@@ -24,7 +24,8 @@ A variant may also say, and need not:
     route = "straight"              # straight (towards the goal), map (round what the map refuses)
     driving = "off"                 # off, on (on the wheels where a route over the map says so)
 
-and a table `[settings.STAGE]` sets fields of that stage's configuration, such as `[settings.footfall] max_slope_deg = 15`.
+and a table `[settings.STAGE]` sets fields of that stage's configuration, such as `[settings.footfall] max_slope_deg = 15`. What is
+carried stands there too: `[settings.collision] payload_above = [2.2, 1.6, 1.5]`, and `payload_below` as at Moses Lake [m].
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ from athlete_twin.model.spec import RobotSpec
 from planner.footfall import METHODS as FOOTFALLS
 from planner.footfall import FootfallConfig
 from planner.footfall_scores import TYPICAL
+from planner.gait.aside import AsideConfig
+from planner.gait.body_sway import BodySwayConfig
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
 from planner.gait.skeleton import GaitConfig
@@ -80,7 +83,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "leg_planner": LEG_PLANNERS,
     "smoothing": ("dijkstra_bisect", "least_torque"),
     "gait": ("reverse_wave",),
-    "body_motion": ("straight",),
+    "body_motion": ("straight", "sway"),
     "touchdown": ("guarded",),
     "unknown_terrain": ("refuse", "flat"),
 }
@@ -113,6 +116,8 @@ SETTINGS: dict[str, type] = {
     "route": RouteConfig,
     "headings": HeadingConfig,
     "drive": DriveConfig,
+    "aside": AsideConfig,
+    "sway": BodySwayConfig,
 }
 
 
@@ -148,6 +153,7 @@ class PlannerConfig:
     route: RouteConfig = field(default_factory=RouteConfig)
     headings: HeadingConfig = field(default_factory=HeadingConfig)
     drive: DriveConfig = field(default_factory=DriveConfig)
+    aside: AsideConfig = field(default_factory=AsideConfig)
 
 
 def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) -> PlannerConfig:
@@ -221,12 +227,14 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
             swing=swing,
             leg_planner=chosen["leg_planner"],
             shift=made["shift"],
+            sway=made["sway"] if chosen["body_motion"] == "sway" else None,
         ),
         route_method=chosen["route"],
         driving=chosen["driving"] == "on",
         route=made["route"],
         headings=made["headings"],
         drive=made["drive"],
+        aside=made["aside"],
     )
 
 
@@ -244,8 +252,8 @@ def _settings(name: str, stage: str, own: Mapping[str, Any], method: str | None,
         values[key] = tuple(value) if isinstance(value, list) else value
     try:
         return kind(**values)
-    except (AthleteError, TypeError) as e:
-        raise ConfigError(f"variant {name}: [settings.{stage}] {e}") from e
+    except (AthleteError, TypeError, ValueError) as e:
+        raise ConfigError(f"variant {name}: [settings.{stage}] {' '.join(str(e).split())}") from e
 
 
 def _meant(key: str, known: tuple[str, ...]) -> str:

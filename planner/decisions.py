@@ -1,7 +1,7 @@
-"""What the ground asks and what the operator answers: proposals, decisions, and operators that follow a script.
+"""What the ground asks and what the operator answers: proposals and decisions, and the simplest operators.
 
-The last stage before the link. The agent hands out one of five actions; only a `Proposal` needs an answer. An operator
-that asks a person reads a terminal and therefore lives with the scripts; those here need nobody.
+The last stage before the link. The agent hands out one of five actions; only a `Proposal` needs an answer. Operators that
+judge, dawdle or err are in `operators.py`; one that asks a person reads a terminal and lives with the scripts.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from athlete_twin.messages import CommandSequence, Message
 
 DecisionKind = Literal["approve", "reject", "edit_footfall", "choose_leg", "choose_cameras", "wait", "stop"]
 DECISIONS: tuple[str, ...] = get_args(DecisionKind)
-SCRIPTED_OPERATORS = ("approve_all",)
 MAX_WAIT = 3600.0
 """longest wait an operator may order, as the executive's [s]"""
 
@@ -60,6 +59,12 @@ class Proposal:
     """largest sag of the chassis along the motion [m]"""
     text: str
     """one line that says what will happen and why"""
+    predicted_torque_fraction: float = float("nan")
+    """largest joint torque over its limit while the leg is in the air; NaN where nothing was foreseen, as below"""
+    predicted_clearance: float = float("nan")
+    """of the lifted wheel above the ground under it [m]"""
+    unknown_share: float = float("nan")
+    """of the ground under the wheel at its footfall, so much was never seen, 0 to 1"""
 
     def __post_init__(self) -> None:
         rows, poses = len(self.preview_joints), len(self.preview_world_from_hex)
@@ -76,6 +81,8 @@ class Decision:
     """The operator's answer to a proposal."""
 
     kind: DecisionKind
+    reason: str = ""
+    """in the operator's words; of any kind, meant for "reject" """
     footfall_in_world: Vec3 | None = None
     """of "edit_footfall": where the wheel shall come down instead [m]"""
     leg: int | None = None
@@ -200,10 +207,3 @@ class RejectSome:
         """Rejection of the named ones, approval of the others."""
         kind: DecisionKind = "reject" if proposal.index in self.rejected else "approve"
         return Decision(kind=kind), self.seconds
-
-
-def scripted_operator(name: str) -> Operator:
-    """An operator that needs nobody, by its name."""
-    if name == "approve_all":
-        return ApproveAll()
-    raise ConfigError(f"operator {name!r} is not known; known: {', '.join((*SCRIPTED_OPERATORS, 'human'))}")

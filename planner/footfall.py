@@ -19,7 +19,7 @@ from athlete_twin.geometry.arrays import Cells
 from athlete_twin.geometry.grid import HeightGrid
 from planner.footfall_scores import METHODS, CostConfig, Underfoot, cost, footprint, underfoot, window_sum
 
-__all__ = ["METHODS", "REASONS", "FootfallConfig", "FootfallMap", "footprint", "score_footfalls"]
+__all__ = ["METHODS", "REASONS", "FootfallConfig", "FootfallMap", "footprint", "score_footfalls", "unknown_share"]
 
 REASONS = ("ok", "unknown", "uncertain", "steep", "rough", "step_beside")
 """names of the codes in `FootfallMap.veto`"""
@@ -224,3 +224,10 @@ def _flank_intrusion(
         np.subtract(reached, hull, out=reached)
         np.maximum(highest, reached, out=highest)
     return highest
+
+
+def unknown_share(grid: HeightGrid, footfall_in_world: np.ndarray, *, radius: float) -> float:
+    """Share of the cells under a wheel of `radius` [m] at a footfall, shape (3,), that nobody saw; all of them outside the map."""
+    x, y = grid.centres()
+    under = np.hypot(x[:, None] - footfall_in_world[0], y[None, :] - footfall_in_world[1]) <= radius
+    return float(np.mean(np.isnan(grid.heights[under]))) if under.any() else 1.0

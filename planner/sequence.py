@@ -23,7 +23,7 @@ def step_commands(plan: StepPlan) -> list[Command]:
     commands: list[Command] = []
     if plan.lift_in_hex is not None:
         commands.append(LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact"))
-    commands.append(JointMove(leg=plan.leg, waypoints=plan.swing))
+    commands.append(JointMove(leg=plan.leg, waypoints=plan.swing, corner_tolerance=plan.swing_corner_tolerance))
     commands.append(
         LegMove(leg=plan.leg, wheel_in_hex=plan.descent_in_hex, guard="contact", contact_load=plan.contact_load)
     )

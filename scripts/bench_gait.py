@@ -11,6 +11,7 @@ wall (`--obstacles`). These are planned: rigid, loads by zero interaction.
 `twin` executes a cycle of the plain gait, the sway gait and the opposite pairs on level concrete, a minute or two each: tyres,
 wind-up, servos and interaction included. `strides_twin` walks the longest stride, `slopes_twin` slopes of 7 and 14 deg and the
 steepest, `steps_twin` crosses the largest obstacles: the planned one first, and where the twin does not finish, lesser ones.
+`swings_twin` leads legs through the air, as the executive does it and at constant speed, and tells what their wheels feel.
 
 SDM-B's reference is a hex at 1.75 m over feet at 1.793 m and a stride of 0.6 m; T12's is the stance and stride of its drawings.
 """
@@ -24,6 +25,7 @@ from pathlib import Path
 import gait_figures
 import gait_steps
 import gait_twin
+import swing_twin
 import tyro
 from bench_table import Row, show
 from rich.console import Console
@@ -34,10 +36,10 @@ from athlete_twin.model.spec import load_spec
 
 ROWS = {
     "steps": gait_steps.step_rows, "strides_twin": gait_twin.stride_rows, "slopes_twin": gait_twin.slope_rows,
-    "steps_twin": gait_steps.step_twin_rows,
+    "steps_twin": gait_steps.step_twin_rows, "swings_twin": swing_twin.swing_rows,
 }  # fmt: skip
 """parts that have their own files"""
-PARTS = ("strides", "sway", "slopes", "steps", "twin", "strides_twin", "slopes_twin", "steps_twin")
+PARTS = ("strides", "sway", "slopes", "steps", "twin", "strides_twin", "slopes_twin", "steps_twin", "swings_twin")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +48,7 @@ class Options:
 
     robots: tuple[str, ...] = ("sdm_b", "t12")
     parts: tuple[str, ...] = ("strides", "sway", "slopes", "twin")
-    """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin and steps_twin"""
+    """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin, steps_twin and swings_twin"""
     obstacles: tuple[str, ...] = ("ledge", "ditch", "wall")
     """of `steps` and `steps_twin`"""
     seed: int = 0

@@ -5,8 +5,11 @@
 
 500 problems in `assets/leg_problems.npz`, whose hash is checked first: both robots, from free ground to a rock beside the leg,
 each solved by OMPL's RRTConnect when the set was made. All planners have the same budget of state checks and check edges to
-0.01 rad; finished paths are looked at again every 0.002 rad. `--problems` takes so many of each robot, evenly from the set.
-`--log` writes OMPL's benchmark log too, for `ompl_benchmark_statistics`. All of it takes about half an hour on one core.
+0.01 rad; finished paths are looked at again every 0.002 rad, with their corners cut as the executive cuts them. SBL's paths are
+timed too, beside pieces at constant speed (velocities jump) and toppra on the same path.
+
+`--problems` takes so many of each robot, evenly from the set. `--log` writes OMPL's benchmark log too, for
+`ompl_benchmark_statistics`. All of it takes about half an hour on one core.
 """
 
 from __future__ import annotations

@@ -149,7 +149,8 @@ def _alone(athlete: Athlete) -> float:
 
 def _timed(athlete: Athlete, *commands: Command) -> float:
     """Multiple of real time at which the robot carries out a sequence."""
-    sequence = CommandSequence(seq=0, robot_id=athlete.robot_id, t=athlete.t, sequence_id=0, commands=commands)
+    number = athlete.executive.newest_seq + 1
+    sequence = CommandSequence(seq=number, robot_id=athlete.robot_id, t=athlete.t, sequence_id=number, commands=commands)
     start, before = time.process_time(), athlete.t
     made = athlete.receive(sequence)
     while athlete.busy:

@@ -17,7 +17,7 @@ from athlete_twin.errors import AssetError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import load_spec
-from planner.motion.collision import CollisionConfig, LegCollision
+from planner.motion.collision import ClearanceTable, CollisionConfig, LegCollision
 from planner.motion.swing import SwingConfig, sampling_box
 
 FOLDER = Path(__file__).resolve().parents[1] / "assets"
@@ -29,6 +29,10 @@ CELL = 0.05
 MOST_JOINTS, MOST_ROCKS = 7, 12
 DIGITS = 3
 """of a height in metres"""
+CERTIFIED = CollisionConfig(
+    terrain_clearance=0.05, near_ground_clearance=0.01, table=ClearanceTable(same_leg=(0.02, 0.03), body=0.04, other_leg=0.06)
+)
+"""clearances that every problem was solved under when the set was made: they belong to the set, whatever the planner's are now"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,9 +67,9 @@ class LegProblem:
         return HeightGrid(origin_x=float(x[0]), origin_y=float(y[0]), cell=CELL, heights=np.round(heights, DIGITS))
 
     def collision(self, config: CollisionConfig | None = None) -> LegCollision:
-        """What the leg hits."""
+        """What the leg hits, by the clearances that the set was certified under or by others."""
         spec = load_spec(self.robot)
-        return LegCollision(spec, self.terrain(), self.world_from_hex, self.joints, self.leg, config or CollisionConfig())
+        return LegCollision(spec, self.terrain(), self.world_from_hex, self.joints, self.leg, config or CERTIFIED)
 
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner of where a planner samples [rad]: that of the planner's own steps."""

@@ -21,7 +21,7 @@ from envs.build import twin, variant_content
 from envs.mission import Mission
 from planner.agent import GroundAgent
 from planner.config import planner_config
-from planner.decisions import scripted_operator
+from planner.decisions import ApproveAll
 from planner.eyes import Look
 from planner.terrain.fusion import FusedTerrain
 from planner.terrain.spikes import without_spikes
@@ -87,7 +87,7 @@ def walk(robot: str, scene: int, *, steps: int, variant: str = "integrated") -> 
     spec = load_spec(robot)
     sun = float(np.deg2rad(SUN_DEG[scene % len(SUN_DEG)]))
     scenario = replace(load_scenario("rock_field"), sun_elevation=sun)
-    pixels, operator = LegPixels(), scripted_operator("approve_all")
+    pixels, operator = LegPixels(), ApproveAll()
     path, content = variant_content(variant)
     config = planner_config(content, spec, name=path.stem)
     agent = GroundAgent(spec, config, goal_in_world=np.array([GOAL, 0.0]), seed=scene)

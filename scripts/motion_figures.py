@@ -10,9 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from bench_table import Row, row
 from leg_problems import LegProblem
+from swing_peers import constant_speed, peak_acceleration, toppra_figures
 
-from athlete_twin.model.spec import load_spec
+from athlete_twin.geometry.blended_path import blended
+from athlete_twin.messages import CORNER_TOLERANCE
+from athlete_twin.model.leg_timing import leg_timing
+from athlete_twin.model.spec import RobotSpec, load_spec
 from planner.motion.checker import CountingChecker, EdgeCheck
+from planner.motion.cornering import free_corner_tolerance
 from planner.motion.planners import plan
 from planner.motion.relief import ReliefConfig, hanging_torque, path_peak, relieve
 from planner.motion.sbl import NoPath, SblConfig
@@ -27,6 +32,26 @@ FINE = 0.002
 EXCESS = 0.05
 """of a path's peak torque over that of its ends, over the limit: below it there is nothing to relieve"""
 PEER = "rrtconnect"
+PERIOD = 1.0 / 24.0
+"""of the executive's control [s]"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SwingTime:
+    """How long a smoothed path takes the executive, and by other means."""
+
+    duration: float
+    """[s]"""
+    timing_seconds: float
+    """that finding it takes"""
+    peak: float
+    """largest acceleration that is commanded [rad/s2]"""
+    constant_speed: float
+    """duration with velocities that jump [s]"""
+    constant_speed_peak: float
+    toppra: float
+    """duration by toppra, NaN where it finds none [s]"""
+    toppra_seconds: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,7 +67,11 @@ class Run:
     smoothed: float = np.nan
     smoothing_seconds: float = np.nan
     collides: bool = False
-    """when looked at finely"""
+    """when looked at finely, as a polyline and as it is driven, its corners cut"""
+    corner_tolerance: float = np.nan
+    """by which they are [rad]"""
+    swing: SwingTime | None = None
+    """of the smoothed path; None where it was not asked for"""
     ends: float = np.nan
     """larger static torque of the two ends over its limit"""
     peak: float = np.nan
@@ -76,6 +105,11 @@ def run(problem: LegProblem, method: str, *, number: int, seed: int, relief: Rel
         relieved = relieve(path, peak, collision.is_free, spec.lower, spec.upper, rng, relief).waypoints
         relief_seconds = time.perf_counter() - start
     finished = [path] if relieved is None else [path, relieved]
+    tolerances = [
+        free_corner_tolerance(p, [collision.is_free] * (len(p) - 1), most=CORNER_TOLERANCE, spacing=FINE) for p in finished
+    ]
+    driven = [blended(p, tolerance) for p, tolerance in zip(finished, tolerances, strict=True)]
+    looked_at = [q for p in driven for q in p.at(np.linspace(0.0, p.length, 2 + int(p.length / FINE)))]
     return Run(
         solved=True,
         reason="",
@@ -84,7 +118,10 @@ def run(problem: LegProblem, method: str, *, number: int, seed: int, relief: Rel
         raw=path_length(found),
         smoothed=path_length(path),
         smoothing_seconds=smoothing_seconds,
-        collides=any(not EdgeCheck(a, b).is_free(collision.is_free, FINE) for p in finished for a, b in itertools.pairwise(p)),
+        collides=any(not EdgeCheck(a, b).is_free(collision.is_free, FINE) for p in finished for a, b in itertools.pairwise(p))
+        or not all(collision.is_free(q) for q in looked_at),
+        corner_tolerance=tolerances[0],
+        swing=_swing_time(spec, path, tolerances[0]) if method == "sbl" else None,
         ends=float(peak(np.array([problem.start, problem.goal])).max()),
         peak=path_peak(path, peak),
         relieved_peak=np.nan if relieved is None else path_peak(relieved, peak),
@@ -93,11 +130,27 @@ def run(problem: LegProblem, method: str, *, number: int, seed: int, relief: Rel
     )
 
 
+def _swing_time(spec: RobotSpec, path: np.ndarray, tolerance: float) -> SwingTime:
+    start = time.perf_counter()
+    motion = leg_timing(spec, path, corner_tolerance=tolerance)
+    samples = motion.samples(PERIOD)
+    seconds = time.perf_counter() - start
+    plain = constant_speed(path, spec.speed_unloaded, PERIOD)
+    toppra, toppra_seconds = toppra_figures(motion, spec)
+    return SwingTime(
+        duration=motion.duration, timing_seconds=seconds, peak=peak_acceleration(samples, path[0], PERIOD),
+        constant_speed=PERIOD * len(plain), constant_speed_peak=peak_acceleration(plain, path[0], PERIOD),
+        toppra=toppra, toppra_seconds=toppra_seconds,
+    )  # fmt: skip
+
+
 def measure(
     problems: Sequence[LegProblem], methods: Sequence[str], *, seed: int, torque: bool, told: Callable[[str], None]
 ) -> dict[str, list[Run]]:
     """All planners on all problems; only SBL's paths are relieved, if `torque`. `told` hears of each run's planner."""
     runs: dict[str, list[Run]] = {method: [] for method in methods}
+    spec = load_spec(problems[0].robot)
+    leg_timing(spec, np.stack([spec.lower, spec.upper]), corner_tolerance=CORNER_TOLERANCE)  # compiled once, in nobody's time
     for number, problem in enumerate(problems):
         for method in methods:
             relief = ReliefConfig() if torque and method == "sbl" else None
@@ -115,6 +168,8 @@ def rows(runs: dict[str, list[Run]], problems: Sequence[LegProblem]) -> list[Row
     if "sbl" in runs:
         if np.isfinite([r.relieved for r in runs["sbl"]]).any():
             out += _relief_rows(runs["sbl"])
+        for robot in dict.fromkeys(p.robot for p in problems):
+            out += _swing_rows(robot, [r for r, p in zip(runs["sbl"], problems, strict=True) if p.robot == robot and r.solved])
         for robot in dict.fromkeys(p.robot for p in problems):
             own = [r for r, p in zip(runs["sbl"], problems, strict=True) if p.robot == robot]
             out.append(row(f"sbl, {robot}: problems solved", float(np.mean([r.solved for r in own])), "share", target=SOLVED))
@@ -143,6 +198,31 @@ def _planner_rows(method: str, its: list[Run], peer: float | None) -> list[Row]:
         row(f"{method}: finished paths that collide at {FINE} rad", float(sum(r.collides for r in solved)), "", target="<= 0"),
         row(f"{method}: peak static torque, median", _median(peaks), "of the limit"),
         row(f"{method}: peak static torque, largest", float(peaks.max()) if len(peaks) else None, "of the limit"),
+    ]  # fmt: skip
+
+
+def _swing_rows(robot: str, its: list[Run]) -> list[Row]:
+    swings = [r.swing for r in its if r.swing is not None]
+    if not swings:
+        return []
+    by = {name: np.array([getattr(s, name) for s in swings]) for name in SwingTime.__dataclass_fields__}
+    found = np.isfinite(by["toppra"])
+    limit = load_spec(robot).acceleration_unloaded
+    name, jumps = f"{robot}, {len(swings)} swings", "constant speed, with jumps"
+    return [
+        row(f"{name}: duration, mean", float(by["duration"].mean()), "s", peer_name=jumps, peer=float(by["constant_speed"].mean())),
+        row(f"{name}: duration over constant speed's, largest", float((by["duration"] / by["constant_speed"]).max()), "1"),
+        row(f"{name}: acceleration commanded, largest", float(by["peak"].max()), "rad/s2", target=f"<= {limit * (1 + 1e-6):.7g}",
+            peer_name=jumps, peer=float(by["constant_speed_peak"].max())),
+        row(f"{name}: those that cut corners by the whole tolerance",
+            float(np.mean([r.corner_tolerance == CORNER_TOLERANCE for r in its])), "share"),
+        row(f"{name}: swings that stop at corners", float(sum(r.corner_tolerance == 0.0 for r in its)), ""),
+        row(f"{name}: duration where toppra finds one ({int(found.sum())}), mean", _mean(by["duration"][found]), "s",
+            target="<= 1.001", of="ratio", peer_name="toppra", peer=_mean(by["toppra"][found])),
+        row(f"{name}: time to find it, median", float(np.median(by["timing_seconds"])), "s", target="<= 0.02",
+            peer_name="toppra", peer=float(np.median(by["toppra_seconds"]))),
+        row(f"{name}: time to find it, 95th percentile", float(np.quantile(by["timing_seconds"], 0.95)), "s", target="<= 0.02",
+            peer_name="toppra", peer=float(np.quantile(by["toppra_seconds"], 0.95))),
     ]  # fmt: skip
 
 

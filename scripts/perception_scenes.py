@@ -273,8 +273,9 @@ def _raise(athlete: Athlete, leg: int) -> Telemetry:
     spec = athlete.spec
     wheel = athlete.kin.leg_wheel(leg, athlete.executive.setpoint[leg]).translation
     low, high = (wheel + np.array([0.0, 0.0, k * spec.wheel.radius]) for k in (0.8, LIFT))
+    number = athlete.executive.newest_seq + 1
     sequence = CommandSequence(
-        seq=0, robot_id=athlete.robot_id, t=athlete.t, sequence_id=0,
+        seq=number, robot_id=athlete.robot_id, t=athlete.t, sequence_id=number,
         commands=(LegMove(leg=leg, wheel_in_hex=low, guard="break_contact"), LegMove(leg=leg, wheel_in_hex=high)),
     )  # fmt: skip
     made = athlete.receive(sequence)

@@ -14,7 +14,7 @@ from athlete_twin.messages import StereoPair
 from athlete_twin.model.appearance import visual_parts
 from athlete_twin.model.kinematics import Kinematics
 from envs.build import variant_content
-from envs.recorder import recorded_downlinks
+from envs.recording import recorded_downlinks
 from planner.config import PlannerConfig, planner_config
 from planner.perception.self_mask import MaskedDepth, remove_self
 from planner.perception.stereo import DepthImage, match

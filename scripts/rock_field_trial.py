@@ -46,7 +46,7 @@ class Options:
     delay: float = 5.0
     """one way, on each link [s]"""
     operator: str = "approve_all"
-    """approve_all, or human: asks in the terminal"""
+    """approve_all; cautious (rejects what comes near a limit); slow; distracted (late and sometimes wrong); human (asks here)"""
     cycles: int | None = None
     """the trial ends after so many gait cycles; the scenario's own when not given"""
     time_limit: Annotated[float | None, tyro.conf.arg(help=TIME_LIMIT_HELP)] = None
@@ -78,18 +78,10 @@ def main(arguments: list[str] | None = None) -> int:
 def prepared(options: Options) -> Trial:
     """The trial that the options name; everything that can be refused is refused here."""
     from athlete_twin.link import downlink, uplink
-    from athlete_twin.model.spec import load_spec
-    from athlete_twin.world.scenario import load_scenario
-    from envs.build import ground_agent, twin
-    from envs.mask_score import MaskScore
-    from envs.stage_times import StageTimes
-    from envs.trial import Trial, TrialSetup, usable_folder
+    from envs.prepare import Wanted
+    from envs.prepare import prepared as put_together
 
-    timer = StageTimes()
-    spec = load_spec(options.robot)
-    scenario = load_scenario(options.scenario)
-    goal = (scenario.goal_distance, 0.0)
-    setup = TrialSetup(
+    wanted = Wanted(
         robot=options.robot,
         scenario=options.scenario,
         variant=options.variant,
@@ -97,25 +89,11 @@ def prepared(options: Options) -> Trial:
         operator=options.operator,
         up=uplink(options.delay),
         down=downlink(options.delay),
-        goal=goal,
-        cycles=scenario.cycles if options.cycles is None else options.cycles,
-        time_limit=scenario.time_limit if options.time_limit is None else options.time_limit,
+        cycles=options.cycles,
+        time_limit=options.time_limit,
         payload_kg=options.payload_kg,
     )
-    operator = _operator(options)
-    mask_score = MaskScore()
-    agent = ground_agent(
-        spec, options.variant, goal=goal, seed=options.seed, payload_kg=options.payload_kg, timer=timer,
-        on_look=mask_score.looked,
-    )  # fmt: skip
-    out = usable_folder(options.out)
-    with timer("set_up"):
-        robot, grid = twin(spec, scenario, options.seed, payload_kg=options.payload_kg)
-    robot.on_view = mask_score.saw
-    return Trial(
-        setup=setup, spec=spec, robot=robot, agent=agent, operator=operator, grid=grid, out=out, timer=timer,
-        mask_score=mask_score,
-    )  # fmt: skip
+    return put_together(wanted, options.out, operator=_person(options))
 
 
 def run(trial: Trial) -> TrialResult:
@@ -150,11 +128,10 @@ def reports(options: Options) -> None:
             getattr(importlib.import_module(module), function)(options.out)
 
 
-def _operator(options: Options) -> Operator:
-    from planner.decisions import scripted_operator
-
+def _person(options: Options) -> Operator | None:
+    """Who is asked in the terminal; None where a script answers."""
     if options.operator != "human":
-        return scripted_operator(options.operator)
+        return None
     from terminal_operator import TerminalOperator
 
     return TerminalOperator(robot=options.robot, out=options.out)

@@ -13,7 +13,7 @@ from athlete_twin.errors import ConfigError
 from planner.decisions import Decision, Proposal
 
 HELP = (
-    "a approve   r reject   e X Y edit the footfall (m, world)   l N choose leg 1-6   "
+    "a approve   r WHY reject   e X Y edit the footfall (m, world)   l N choose leg 1-6   "
     "c NAME ... take pictures   w S wait (s)   s stop"
 )
 
@@ -36,7 +36,9 @@ class TerminalOperator:
         begun = time.perf_counter()
         self.console.print(f"\n[bold]{t:.0f} s, proposal {proposal.index}[/bold]: {proposal.text}")
         self.console.print(
-            f"least margin {proposal.predicted_margin:.2f} m, sag {proposal.predicted_sag:.3f} m; {picture}"
+            f"least margin {proposal.predicted_margin:.2f} m, sag {proposal.predicted_sag:.3f} m, "
+            f"torque {_percent(proposal.predicted_torque_fraction)} of the limit, "
+            f"{_percent(proposal.unknown_share)} of the ground under the wheel unseen; {picture}"
         )
         while True:
             try:
@@ -57,8 +59,8 @@ def parsed(typed: str) -> Decision:
         match words:
             case ["a"]:
                 return Decision(kind="approve")
-            case ["r"]:
-                return Decision(kind="reject")
+            case ["r", *why]:
+                return Decision(kind="reject", reason=" ".join(why))
             case ["e", x, y]:
                 return Decision(kind="edit_footfall", footfall_in_world=np.array([float(x), float(y), 0.0]))
             case ["l", leg]:
@@ -72,3 +74,7 @@ def parsed(typed: str) -> Decision:
     except ValueError as e:
         raise ConfigError(f"{typed!r} is not understood: {e}") from e
     raise ConfigError(f"{typed!r} is not one of the answers below")
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %" if np.isfinite(share) else "an unforeseen part"

@@ -21,8 +21,8 @@ from athlete_twin.model.spec import LEGS, RobotSpec, load_spec
 from athlete_twin.model.stance import stance_wheels_in_hex
 from athlete_twin.world.scenario import load_scenario
 from athlete_twin.world.terrain import Terrain, build_terrain
-from envs.recorder import Recorded, read_recording
-from envs.schemas import Json, grid_from_message
+from envs.recording import Recorded, read_recording
+from envs.schemas import Json, grid_from_message, joint_angles
 
 BINS = ("motion", "link", "ground", "operator")
 """parts of the mission time, in the order they are drawn"""
@@ -209,7 +209,7 @@ def load_recording(folder: Path) -> TrialRecording:
         spec=spec,
         surface=surface,
         states=_states([r.content for r in lines["/truth/state"]], spec),
-        track=_track(lines["/truth/chassis"], lines["/truth/joints"]),
+        track=_track(lines["/truth/chassis"], lines["/truth/joints"], spec.dof),
         proposals=_proposals(lines),
         believed=_merged([grid_from_message(r.content) for r in lines["/ground/terrain"]]),
         spans=tuple((c["bin"], c["begin"], c["end"]) for c in (r.content for r in lines["/truth/mission_time"])),
@@ -238,13 +238,14 @@ def _states(rows: list[Json], spec: RobotSpec) -> States:
     )
 
 
-def _track(chassis: list[Recorded], joints: list[Recorded]) -> Track:
-    rows = [r.content for r in joints]
+def _track(chassis: list[Recorded], joints: list[Recorded], dof: int) -> Track:
+    angles = np.array([list(joint_angles(r.content).values()) for r in joints])
+    legs = LEGS * dof
     return Track(
-        t=np.array([row["t"] for row in rows]),
-        world_from_hex=tuple(_pose(r.content) for r in chassis[: len(rows)]),
-        joints=np.array([row["joints"] for row in rows]),
-        docks=np.array([row.get("docks", []) for row in rows], dtype=float).reshape(len(rows), -1),
+        t=np.array([r.t for r in joints]),
+        world_from_hex=tuple(_pose(r.content) for r in chassis[: len(joints)]),
+        joints=angles[:, :legs].reshape(-1, LEGS, dof),
+        docks=angles[:, legs:],
     )
 
 

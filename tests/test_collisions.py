@@ -45,7 +45,8 @@ def robot() -> Iterator:
 
 
 def run(athlete: Athlete, *commands) -> None:
-    athlete.receive(CommandSequence(seq=0, robot_id="sdm_b", t=athlete.t, sequence_id=0, commands=commands))
+    number = athlete.executive.newest_seq + 1
+    athlete.receive(CommandSequence(seq=number, robot_id="sdm_b", t=athlete.t, sequence_id=number, commands=commands))
     for _ in range(300):
         athlete.advance(athlete.t + 1.0)
         if not athlete.busy:

@@ -6,8 +6,19 @@ import pytest
 from athlete_twin.driving import rolling_velocities
 from athlete_twin.errors import CommandError
 from athlete_twin.executive import CONTROL_PERIOD, Event, Executive
-from athlete_twin.messages import BodyMove, CommandSequence, Drive, ImageRequest, JointMove, LegMove, Stop, Wait
+from athlete_twin.messages import (
+    CORNER_TOLERANCE,
+    BodyMove,
+    CommandSequence,
+    Drive,
+    ImageRequest,
+    JointMove,
+    LegMove,
+    Stop,
+    Wait,
+)
 from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.moves import Sensed
@@ -122,6 +133,27 @@ def test_way_points_of_another_robot_are_a_bad_command():
     e = executive()
     e.accept(sequence(JointMove(leg=0, waypoints=np.zeros((1, 7)))))
     assert faults(run(e)) == ["bad_command"]
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("scale", [1.0, 0.4])
+def test_a_joint_move_goes_from_rest_to_rest_within_its_limits_in_the_time_foretold(robot, scale):
+    e = executive(robot)
+    spec, start = e.kin.spec, e.setpoint[2].copy()
+    ways = start + np.cumsum(0.1 * np.random.default_rng(7).standard_normal((4, spec.dof)), axis=0)
+    ways = np.clip(ways, spec.lower, spec.upper)
+    e.accept(sequence(JointMove(leg=2, waypoints=ways, speed_scale=scale), robot=robot))
+    commanded = [e.setpoint[2].copy()] * 2
+    while e.command_index == 0 and not faults(e.tick(Sensed(joints=e.setpoint, torques=0 * e.setpoint, attitude_rpy=np.zeros(3)))):
+        commanded.append(e.setpoint[2].copy())
+    rates = np.diff(commanded, axis=0) / CONTROL_PERIOD
+    assert np.abs(rates).max() <= scale * spec.speed_unloaded * (1.0 + 1e-9)
+    assert np.abs(np.diff(rates, axis=0)).max() / CONTROL_PERIOD <= scale**2 * spec.acceleration_unloaded * (1.0 + 1e-9)
+    assert (rates[-1] == 0.0).all()
+    np.testing.assert_array_equal(e.setpoint[2], ways[-1])
+    foretold = leg_timing(spec, np.concatenate([start[None], ways]), corner_tolerance=CORNER_TOLERANCE, speed_scale=scale).duration
+    moving = np.count_nonzero(rates.any(axis=1)) * CONTROL_PERIOD
+    assert foretold - 1e-9 <= moving <= foretold + CONTROL_PERIOD
 
 
 def test_torque_beyond_the_allowed_fraction_stops_the_sequence():
@@ -276,7 +308,7 @@ def test_a_camera_that_the_robot_lacks_is_a_bad_command_and_nothing_is_completed
 def test_a_full_queue_refuses_with_a_receipt():
     e = executive()
     statuses = [e.accept(sequence(Wait(duration=1.0), number=n))[0].status for n in range(10)]
-    assert statuses.count("failed") == 2
+    assert statuses.count("refused") == 2
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -318,7 +350,7 @@ def test_a_drive_faster_than_the_robot_is_a_bad_command_and_a_stop_locks_the_whe
 def test_a_sequence_for_another_robot_is_refused():
     e = executive("t12")
     (receipt,) = e.accept(sequence(Wait(duration=1.0)))
-    assert receipt.status == "failed" and "is for 'sdm_b', this is t12" in receipt.text
+    assert (receipt.status, receipt.cause) == ("refused", "misaddressed") and "is for 'sdm_b', this is t12" in receipt.text
     assert not e.busy
 
 

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from athlete_twin.errors import LinkError
+from athlete_twin.errors import LinkError, MessageError
 from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
-from athlete_twin.messages import Receipt, StereoPair, Stop, Telemetry, encode
+from athlete_twin.messages import Receipt, StereoPair, Stop, Telemetry, decode, encode
 
 SETTINGS = settings(max_examples=60, deadline=None)
 
@@ -140,6 +140,9 @@ def test_a_picture_takes_its_size_over_the_bandwidth():
         ({"bandwidth": 0.0}, "bandwidth is 0.0 bit/s"),
         ({"bandwidth": math.nan}, "bandwidth is nan bit/s"),
         ({"loss": 1.0}, r"loss is 1.0, must be in \[0, 1\)"),
+        ({"duplication": 1.5}, r"duplication is 1.5, must be in \[0, 1\)"),
+        ({"corruption": math.nan}, r"corruption is nan, must be in \[0, 1\)"),
+        ({"retry_after": -2.0}, "retry_after is -2.0 s"),
         ({"outages": ((5.0, 3.0),)}, "outage 5.0 to 3.0 s"),
         ({"outages": ((0.0, 3.0), (2.0, 4.0))}, "not begin before 3.0 s"),
     ],
@@ -154,3 +157,130 @@ def test_sending_backwards_in_time_is_refused():
     link.send(Stop(seq=0, robot_id="sdm_b", t=3.0), 3.0)
     with pytest.raises(LinkError, match="send time is 2"):
         link.send(Stop(seq=1, robot_id="sdm_b", t=2.0), 2.0)
+
+
+def walked(link, gaps):
+    """Sends as `sent` does while what arrives meanwhile is taken; the arrivals as (time, number)."""
+    t, out = 0.0, []
+    for k, (gap, size) in enumerate(gaps):
+        t += gap
+        while link.next_arrival() <= t:
+            at = link.next_arrival()
+            out += [(at, m.seq) for m in link.receive(at)]
+        link.send(receipt(k, "x" * size), t)
+    return out + arrivals(link)
+
+
+@SETTINGS
+@given(sends, st.floats(0.0, 8.0), st.floats(0.0, 4.0), st.floats(0.0, 0.8), st.floats(0.0, 20.0), st.integers(0, 99))
+def test_what_is_sent_again_arrives_once_and_in_order(gaps, delay, jitter, loss, retry_after, seed):
+    config = {"delay": delay, "jitter": jitter, "loss": loss, "retry_after": retry_after}
+    got = walked(a_link(seed, **config), gaps)
+    assert [k for _, k in got] == list(range(len(gaps)))
+    assert all(a[0] <= b[0] for a, b in pairwise(got))
+    # Nobody comes earlier than over the same link without loss.
+    clean = walked(a_link(seed, **config | {"loss": 0.0}), gaps)
+    assert all(late[0] >= early[0] - 1e-9 for late, early in zip(got, clean, strict=True))
+
+
+def brute(config, gaps, seed):
+    """Every transmission of a retrying link, simulated in steps of a millisecond by another programme: when each arrives [s]."""
+    draws = np.random.default_rng(seed).random((len(gaps), 5))
+    step, now = 1e-3, 0
+    times = np.cumsum([gap for gap, _ in gaps])
+    sizes = [len(encode(receipt(k, "x" * size))) for k, (_, size) in enumerate(gaps)]
+    waiting = [(round(t / step), k, 0) for k, t in enumerate(times)]
+    left_over, sending, tries, out = 0.0, None, {}, {}
+    while len(out) < len(gaps):
+        if sending is None and any(at <= now for at, *_ in waiting):
+            sending = min(w for w in waiting if w[0] <= now)
+            waiting.remove(sending)
+            left_over = 8 * sizes[sending[1]] / config["bandwidth"]
+        if sending is not None:
+            left_over -= step
+            if left_over <= 0.0:
+                k = sending[1]
+                tries[k] = tries.get(k, 0) + 1
+                if draws[k, 1] < config["loss"] ** tries[k]:
+                    waiting.append((now + round(config["retry_after"] / step), k, 1))
+                else:
+                    out[k] = now * step + config["delay"] + config["jitter"] * draws[k, 0]
+                sending = None
+        now += 1
+    return np.maximum.accumulate([out[k] for k in range(len(gaps))])
+
+
+def test_retries_share_the_transmitter_as_a_step_by_step_simulation_says():
+    config = {"delay": 1.5, "jitter": 0.7, "loss": 0.5, "retry_after": 2.0, "bandwidth": 1e4}
+    rng = np.random.default_rng(4)
+    gaps = [(float(g), int(s)) for g, s in zip(rng.uniform(0.05, 1.5, 40), rng.integers(0, 1500, 40), strict=True)]
+    got = [t for t, _ in walked(a_link(7, **config), gaps)]
+    # A step a try is what the simulation is off by.
+    assert np.abs(np.array(got) - brute(config, gaps, 7)).max() < 0.05
+
+
+def test_copies_follow_their_originals_where_asked_for():
+    link = a_link(duplication=0.3)
+    sent(link, [(0.1, 0)] * 2000)
+    got = [k for _, k in arrivals(link)]
+    assert got == sorted(got) and set(got) == set(range(2000))
+    assert len(got) == pytest.approx(2600, abs=3 * math.sqrt(2000 * 0.3 * 0.7))
+
+
+def test_messages_overtake_each_other_only_where_asked_for():
+    gaps = [(0.05, 0)] * 200
+    kept, free = a_link(jitter=2.0, bandwidth=1e6), a_link(jitter=2.0, bandwidth=1e6, reordering=True)
+    sent(kept, gaps)
+    sent(free, gaps)
+    orderly, loose = arrivals(kept), arrivals(free)
+    assert [k for _, k in orderly] == list(range(200))
+    assert [k for _, k in loose] != list(range(200)) and sorted(k for _, k in loose) == list(range(200))
+    assert all(a[0] <= b[0] for a, b in pairwise(loose))
+    assert sum(t for t, _ in loose) < sum(t for t, _ in orderly)
+
+
+def test_a_damaged_message_is_noticed():
+    link = a_link(corruption=0.2)
+    sent(link, [(0.1, 5)] * 500)
+    whole = damaged = 0
+    for raw in link.receive_raw(1e6):
+        try:
+            decode(raw)
+            whole += 1
+        except MessageError:
+            damaged += 1
+    assert whole + damaged == 500
+    assert damaged == pytest.approx(100, abs=3 * math.sqrt(500 * 0.2 * 0.8))
+
+
+def exact_arrivals(config, times, sizes, late):
+    """By the definition, one after the other: transmitter, delay, jitter, order [s]."""
+    free, last, out = 0.0, 0.0, []
+    for t, size, share in zip(times, sizes, late, strict=True):
+        free = max(t, free) + 8 * size / config.bandwidth
+        last = max(last, free + config.delay + config.jitter * share)
+        out.append(last)
+    return np.array(out)
+
+
+@pytest.mark.parametrize("n", [20_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
+def test_many_messages_arrive_on_time_none_lost_doubled_or_reordered(n):
+    config = LinkConfig(delay=5.0, bandwidth=64e3, jitter=0.3)
+    link, rng = DelayedLink(config, np.random.default_rng(3)), np.random.default_rng(4)
+    times = np.cumsum(rng.exponential(0.05, n))
+    sizes, got, at = np.zeros(n), [], []
+    for k, t in enumerate(times):
+        while (due := link.next_arrival()) <= t:
+            for raw in link.receive_raw(due):
+                got.append(raw)
+                at.append(due)
+        sizes[k] = len(link.send(receipt(k), t))
+    while math.isfinite(due := link.next_arrival()):
+        for raw in link.receive_raw(due):
+            got.append(raw)
+            at.append(due)
+    assert len(got) == n
+    late = np.random.default_rng(3).random((n, 5))[:, 0]
+    assert np.abs(np.array(at) - exact_arrivals(config, times, sizes, late)).max() < 1e-6  # a physics tick is 4e-3
+    picked = range(0, n, max(1, n // 20_000))
+    assert [decode(got[k]).seq for k in picked] == list(picked)

@@ -35,7 +35,7 @@ def vectors(*shape):
 
 
 commands = st.one_of(
-    st.builds(JointMove, leg=legs, waypoints=vectors(2, 7), speed_scale=st.floats(0.1, 1.0)),
+    st.builds(JointMove, leg=legs, waypoints=vectors(2, 7), speed_scale=st.floats(0.1, 1.0), corner_tolerance=st.floats(0.0, 0.1)),
     st.builds(LegMove, leg=legs, wheel_in_hex=vectors(3), guard=st.sampled_from(["none", "break_contact"])),
     st.builds(
         LegMove, leg=legs, wheel_in_hex=vectors(3), guard=st.just("contact"), contact_load=st.floats(1.0, 5000.0)
@@ -127,10 +127,12 @@ def test_log_content_carries_the_header(message):
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: JointMove(leg=6, waypoints=np.zeros((1, 6))), "leg index 6 is outside 0 to 5"),
+        (lambda: JointMove(leg=6, waypoints=np.zeros((1, 6))), "leg index 6 is not a whole number from 0 to 5"),
         (lambda: JointMove(leg=0, waypoints=np.zeros((0, 6))), r"way-points have shape \(0, 6\)"),
         (lambda: JointMove(leg=0, waypoints=np.full((1, 6), np.nan)), "need finite"),
         (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), speed_scale=0.0), "speed_scale is 0.0"),
+        (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), corner_tolerance=0.2), "corner_tolerance 0.2 rad is outside 0 to 0.1"),
+        (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), corner_tolerance=float("nan")), "is outside 0 to 0.1"),
         (lambda: LegMove(leg=0, wheel_in_hex=np.full(3, np.inf)), "must be a finite point"),
         (lambda: LegMove(leg=0, wheel_in_hex=np.zeros(3), guard="soft"), "guard 'soft' is not one of"),
         (lambda: LegMove(leg=0, wheel_in_hex=np.zeros(3), guard="contact"), "needs a positive contact_load"),

@@ -5,6 +5,7 @@ A figure in the file is a table `{ value, unit, label, source }`; the label says
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -12,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from athlete_twin.assets import read_toml, robot_dir
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import AthleteError, ConfigError
 from athlete_twin.geometry.arrays import LegJoints, PerLeg, Vec3, Wheels
 from athlete_twin.model.camera import CHASSIS, Pinhole, StereoCamera, mounted, mounted_beside
+from athlete_twin.model.spec_entries import Entries
 
 LABELS = ("PUB", "CAD", "INF", "EST")
 LEGS = 6
@@ -116,6 +118,8 @@ class RobotSpec:
     """of a joint that carries weight [rad/s]"""
     speed_unloaded: float
     """of a joint of a leg in the air [rad/s]"""
+    acceleration_unloaded: float
+    """of a joint of a leg in the air: an estimate, none is published, and not a limit that the true motors have [rad/s2]"""
     ratchet: float | None
     """torque over its limit that no gear of a joint holds without skipping a tooth; None for gears that do not ratchet"""
     drive_speed: float
@@ -199,12 +203,21 @@ def load_spec(robot: str) -> RobotSpec:
     content = read_toml(path)
     try:
         return spec_from_content(content)
-    except KeyError as e:
-        raise ConfigError(f"{path}: key {e} is missing") from e
+    except ConfigError as e:
+        raise ConfigError(f"{path}: {e}") from e
 
 
 def spec_from_content(content: dict[str, Any]) -> RobotSpec:
-    """The drawings from the content of a `spec.toml`."""
+    """The drawings from the content of a `spec.toml`; what cannot be used is refused with the name of its key."""
+    entries = Entries(content)
+    try:
+        return _drawn(entries)
+    except (AthleteError, TypeError, ValueError, AttributeError, LookupError, ArithmeticError) as e:
+        told = " ".join(str(e).split())
+        raise ConfigError(told if entries.last in told else f"{entries.last or 'the file'} is not usable: {told}") from e
+
+
+def _drawn(content: Entries) -> RobotSpec:
     hips, wheel, body = content["hips"], content["wheel"], content["body"]
     belief, stance, motion = content["belief"], content["stance"], content["motion"]
     hips_in_hex = np.column_stack([figure(hips["x"]), figure(hips["y"]), np.zeros(LEGS)])
@@ -231,6 +244,7 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
         ratchet=figure(motion["ratchet"]) if "ratchet" in motion else None,
         drive_speed=figure(motion["drive_speed_kmh"]) / 3.6,
         speed_unloaded=figure(motion["speed_unloaded"]),
+        acceleration_unloaded=figure(motion["acceleration_unloaded"]),
         foot_radius=figure(stance["foot_radius"]),
         foot_azimuths=np.deg2rad(figure(stance["foot_azimuth_deg"]))
         if "foot_azimuth_deg" in stance
@@ -249,8 +263,10 @@ def spec_from_content(content: dict[str, Any]) -> RobotSpec:
     )
 
 
-def figure(entry: dict[str, Any]) -> Any:
+def figure(entry: Any) -> Any:
     """Value of a labelled figure: a float, or a read-only array."""
+    if not isinstance(entry, Mapping):
+        raise ConfigError(f"figure {entry!r} must be a table with value, unit, label and source")
     label = entry.get("label")
     if label not in LABELS or not entry.get("source"):
         raise ConfigError(f"figure {entry} needs a source and a label out of {', '.join(LABELS)}, has {label!r}")
@@ -266,13 +282,13 @@ def figure(entry: dict[str, Any]) -> Any:
     return float(value)
 
 
-def _hip_pitch_rule(stance: dict[str, Any]) -> tuple[float, float] | None:
+def _hip_pitch_rule(stance: Entries) -> tuple[float, float] | None:
     if "hip_pitch_deg" not in stance:
         return None
     return float(np.deg2rad(figure(stance["hip_pitch_deg"]))), float(np.deg2rad(figure(stance["hip_pitch_slope_deg"])))
 
 
-def _joint(entry: dict[str, Any]) -> JointSpec:
+def _joint(entry: Entries) -> JointSpec:
     lower, upper = np.deg2rad(figure(entry["limits_deg"]))
     return JointSpec(
         name=entry["name"],
@@ -286,7 +302,7 @@ def _joint(entry: dict[str, Any]) -> JointSpec:
     )
 
 
-def _part(entry: dict[str, Any]) -> BodyPart:
+def _part(entry: Entries) -> BodyPart:
     if entry["shape"] == "hexagon_ring":
         low, high = figure(entry["z_range"])
         size = np.array([figure(entry["vertex_radius"]), figure(entry["inner_vertex_radius"]), high - low])
@@ -297,13 +313,13 @@ def _part(entry: dict[str, Any]) -> BodyPart:
     raise ConfigError(f"shape {entry['shape']!r} of part {entry['name']!r} is not one of: box, hexagon_ring")
 
 
-def _deck(entry: dict[str, Any]) -> DeckSpec:
+def _deck(entry: Entries) -> DeckSpec:
     part = BodyPart(name=entry["name"], shape="box", centre=figure(entry["centre"]), size=figure(entry["size"]))
     legs = tuple(int(leg) - 1 for leg in entry["legs"])
     return DeckSpec(name=entry["name"], mass=figure(entry["mass"]), part=part, dock=figure(entry["dock"]), legs=legs)
 
 
-def _cameras(group: dict[str, Any]) -> list[StereoCamera]:
+def _cameras(group: Entries) -> list[StereoCamera]:
     """The pairs of one group: on the chassis at `azimuth_deg`, or beside the last link of `legs`."""
     on_legs = "legs" in group
     unknown = set(group) - (CAMERA_KEYS | (LEG_CAMERA_KEYS if on_legs else CHASSIS_CAMERA_KEYS))

@@ -17,6 +17,7 @@ from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.arrays import Joints, LegJoints, PerLeg
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import LEGS, RobotSpec, figure
+from athlete_twin.model.spec_entries import Entries
 
 SMALLEST_SCALE = 0.5
 """a drawn scale is cut off here: a tyre with no air is a fault, not a spread"""
@@ -99,7 +100,7 @@ def generator(seed: int, stream: str, index: int = 0) -> np.random.Generator:
 def load_truth(robot: str) -> Truth:
     """The truth of a robot by its name."""
     path = robot_dir(robot) / "truth.toml"
-    c = read_toml(path)
+    c = Entries(read_toml(path))
     try:
         return Truth(
             joint_stiffness=figure(c["joint"]["stiffness"]),
@@ -128,8 +129,10 @@ def load_truth(robot: str) -> Truth:
             rate_noise=figure(c["noise"]["rate"]),
             acceleration_noise=figure(c["noise"]["acceleration"]),
         )
-    except KeyError as e:
-        raise ConfigError(f"{path}: key {e} is missing") from e
+    except ConfigError as e:
+        raise ConfigError(f"{path}: {e}") from e
+    except (TypeError, ValueError, AttributeError) as e:
+        raise ConfigError(f"{path}: {c.last} is not usable: {e}") from e
 
 
 def draw_truth(spec: RobotSpec, seed: int, *, link_names: tuple[str, ...], truth: Truth | None = None) -> TrialTruth:

@@ -7,11 +7,12 @@ and no part comes near terrain or robot.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Joints, PerLeg, Vec2, Wheels
+from athlete_twin.geometry.arrays import Joints, PerLeg, Vec2, Vec3, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -19,8 +20,9 @@ from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.spec import LEGS
 from athlete_twin.model.statics import peak_torque_fraction
 from planner.belief import Belief
+from planner.gait.body_sway import BodySwayConfig, NextSwing, best_sway
 from planner.gait.relax import RelaxConfig, relaxing_offsets
-from planner.gait.skeleton import GaitConfig, shift_per_step
+from planner.gait.skeleton import GaitConfig, nominal_footfall, shift_per_step
 from planner.gait.step_plan import BodyShift
 from planner.motion.collision import BodyCollision, CollisionConfig
 from planner.stability.margin import cps_margin, support_margin
@@ -62,6 +64,9 @@ def plan_shift(
     heading: Vec2,
     remaining: float,
     behind: float,
+    yaw: float = 0.0,
+    swayed: Vec3 | None = None,
+    sway: BodySwayConfig | None = None,
     filled: HeightGrid,
     gait: GaitConfig,
     stability: StabilityConfig,
@@ -82,6 +87,9 @@ def plan_shift(
         heading: direction of travel in world.
         remaining: distance to the goal [m].
         behind: what earlier shifts were cut short by [m].
+        yaw: that the chassis shall have in world [rad].
+        swayed: by which the chassis is off its straight path, in world; None where it is on it [m].
+        sway: how it may leave it for the next swing; None keeps to it.
         filled: terrain without NaN.
         gait: its stride.
         stability: the rule.
@@ -90,31 +98,45 @@ def plan_shift(
         payload_kg: [kg]
     """
     pose = belief.world_from_hex
+    off = np.zeros(3) if swayed is None else swayed
     wanted = shift_per_step(kin.spec, gait, remaining=remaining, behind=behind)
     body = BodyCollision(kin.spec, filled, collision)
     wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
     offsets = relaxing_offsets(
         kin, belief, landed_joints, leg=leg, next_leg=next_leg, next_change=next_change, config=limits.relax
     )
-    rise, turn = _mending(kin, belief, limits)
-    # Where the stance itself asks for more torque than the limit, a shift may go on asking for as much.
-    standing = _worst_torques(kin, pose, wheels_in_world, payload_kg)
-    allowed = np.full(LEGS, limits.max_torque_fraction) if standing is None else np.maximum(
-        limits.max_torque_fraction, standing + TORQUE_SLACK
-    )
+    rise, turn = _mending(kin, belief, limits, yaw, float(off[2]))
+    allowed = allowed_torques(kin, pose, wheels_in_world, limits, payload_kg)
     refused = ""
     for fraction in FRACTIONS:
         for mend in (1.0, 0.0):
             move = np.append(fraction * wanted * heading, mend * rise)
-            end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation + move)
-            refusal = _refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg)
+            end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation - off + move)
+            refusal = stance_refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg)
             if not refusal:
+                change = np.zeros(3)
+                left = max(0.0, remaining - fraction * wanted)
+                if sway is not None and next_leg is not None and left > gait.arrival_distance:
+                    place = nominal_footfall(kin.spec, gait, leg=next_leg, world_from_hex=end, heading=heading, remaining=left)
+                    height = float(filled.sample(place[None])[0]) + kin.spec.wheel.radius
+                    swing = NextSwing(axles_in_world=wheels_in_world, leg=next_leg, goal_in_world=np.append(place, height))
+                    wish = best_sway(
+                        kin.spec, end, swing, present=off, config=sway, min_margin=stability.min_margin, payload_kg=payload_kg
+                    )
+                    end = _displaced(
+                        end, wish, pose,
+                        lambda at: stance_refusal(kin, at, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg),
+                    )  # fmt: skip
+                    change = end.translation - (pose.translation + move)
+                elif swayed is not None:
+                    change = -off
                 return BodyShift(
-                    translation_in_hex=pose.rotation.T @ move,
+                    translation_in_hex=pose.rotation.T @ (end.translation - pose.translation if change.any() else move),
                     rotvec_in_hex=pose.rotation.T @ (mend * turn),
                     wheel_offsets_in_hex=_in_reach(kin, belief, landed_joints, leg, end, offsets),
                     fraction=fraction,
                     cut_by=refused,
+                    sway_in_hex=pose.rotation.T @ change,
                 )
             refused = refused or refusal
     return BodyShift(
@@ -124,6 +146,53 @@ def plan_shift(
         fraction=0.0,
         cut_by=refused,
     )
+
+
+def _displaced(path: SE3, wish: Vec3, start: SE3, refusal: Callable[[SE3], str]) -> SE3:
+    """The chassis as far off its path as wished, or as much of that as nothing forbids half-way there and at its end."""
+    for share in SHARES:
+        end = SE3(path.rotation, path.translation + share * wish)
+        half = SE3(path.rotation, 0.5 * (start.translation + end.translation))
+        if not refusal(end) and not refusal(half):
+            return end
+    return path
+
+
+def allowed_torques(kin: Kinematics, world_from_hex: SE3, wheels_in_world: Wheels, limits: ShiftLimits, payload_kg: float) -> PerLeg:
+    """Peak torque fraction that a shift may end with, by lifted leg, shape (6,).
+
+    Where the stance itself asks for more torque than the limit, a shift may go on asking for as much.
+    """
+    standing = _worst_torques(kin, world_from_hex, wheels_in_world, payload_kg)
+    if standing is None:
+        return np.full(LEGS, limits.max_torque_fraction)
+    return np.asarray(np.maximum(limits.max_torque_fraction, standing + TORQUE_SLACK))
+
+
+def stance_refusal(
+    kin: Kinematics,
+    end: SE3,
+    wheels_in_world: Wheels,
+    contacts_in_world: Wheels,
+    stability: StabilityConfig,
+    allowed: PerLeg,
+    body: BodyCollision,
+    payload_kg: float,
+) -> str:
+    """What forbids the chassis to stand there; empty when nothing does. `allowed` are torque fractions by lifted leg."""
+    joints, ok = _stance_at(kin, end, wheels_in_world)
+    if not ok.all():
+        return f"reach of leg {int(np.argmin(ok)) + 1}"
+    com = end.apply(kin.com_in_hex(joints, payload_kg))
+    if cps_margin(com, contacts_in_world) < stability.min_margin:
+        return "CPS margin"
+    for leg in range(LEGS):
+        if support_margin(com, np.delete(contacts_in_world, leg, axis=0)) < stability.min_margin:
+            return f"margin with leg {leg + 1} lifted"
+    torques = _worst_torques(kin, end, wheels_in_world, payload_kg)
+    if torques is not None and (torques > allowed).any():
+        return f"torque with leg {int(np.argmax(torques - allowed)) + 1} lifted"
+    return body.first_collision(joints, end) or ""
 
 
 def _in_reach(kin: Kinematics, belief: Belief, landed_joints: Joints, leg: int, end: SE3, offsets: Wheels) -> Wheels:
@@ -140,46 +209,20 @@ def _in_reach(kin: Kinematics, belief: Belief, landed_joints: Joints, leg: int, 
     return np.asarray(share[:, None] * offsets)
 
 
-def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits) -> tuple[float, np.ndarray]:
-    """Height to rise by [m] and rotation vector in world [rad] that bring the chassis back to its regular pose."""
+def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits, wanted_yaw: float, raised: float) -> tuple[float, np.ndarray]:
+    """Height to rise by [m] and rotation vector in world [rad] that bring the chassis back to its regular height and attitude."""
     pose = belief.world_from_hex
     unsagged = pose.rotate(kin.wheels_in_hex(belief.motors))[:, 2]
     # Height of the hex origin over the contacts if no spring gave way: what commands speak of.
     height = float(np.mean((kin.spec.wheel.radius - unsagged)[belief.planted]))
-    rise = float(np.clip(kin.spec.chassis_height - height, -limits.max_height, limits.max_height))
+    rise = float(np.clip(kin.spec.chassis_height - (height - raised), -limits.max_height, limits.max_height))
     up = pose.rotation[:, 2]
     tilt = np.array([up[1], -up[0], 0.0])
     excess = max(0.0, float(np.linalg.norm(tilt)) - np.deg2rad(limits.level_deck_deg))
     level = tilt * (min(excess, limits.max_tilt) / max(float(np.linalg.norm(tilt)), 1e-12))
     yaw = float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
-    level[2] = float(np.clip(-yaw, -limits.max_yaw, limits.max_yaw))
+    level[2] = float(np.clip(-(yaw - wanted_yaw), -limits.max_yaw, limits.max_yaw))
     return rise, level
-
-
-def _refusal(
-    kin: Kinematics,
-    end: SE3,
-    wheels: Wheels,
-    contacts: Wheels,
-    stability: StabilityConfig,
-    allowed: PerLeg,
-    body: BodyCollision,
-    payload: float,
-) -> str:
-    """What forbids the chassis to stand there; empty when nothing does. `allowed` are torque fractions by lifted leg."""
-    joints, ok = _stance_at(kin, end, wheels)
-    if not ok.all():
-        return f"reach of leg {int(np.argmin(ok)) + 1}"
-    com = end.apply(kin.com_in_hex(joints, payload))
-    if cps_margin(com, contacts) < stability.min_margin:
-        return "CPS margin"
-    for leg in range(LEGS):
-        if support_margin(com, np.delete(contacts, leg, axis=0)) < stability.min_margin:
-            return f"margin with leg {leg + 1} lifted"
-    torques = _worst_torques(kin, end, wheels, payload)
-    if torques is not None and (torques > allowed).any():
-        return f"torque with leg {int(np.argmax(torques - allowed)) + 1} lifted"
-    return body.first_collision(joints, end) or ""
 
 
 def _stance_at(kin: Kinematics, world_from_hex: SE3, wheels: Wheels) -> tuple[Joints, np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,6 +24,8 @@ class BodyShift:
     """of the wanted shift that reach, stability and terrain allow"""
     cut_by: str
     """what forbade the whole of it, height and attitude included; empty when nothing did"""
+    sway_in_hex: Vec3 = field(default_factory=lambda: np.zeros(3))
+    """the part of the translation that displaces the chassis from its straight path, or brings it back [m]"""
 
     @staticmethod
     def none() -> BodyShift:
@@ -46,6 +48,10 @@ class StepPlan:
     """axle after lift-off; None when the leg is in the air already [m]"""
     swing: LegPath
     """way-points from above lift-off to above the footfall, shape (k, dof) [rad]"""
+    swing_corner_tolerance: float
+    """by which the executive may cut their corners [rad]"""
+    swing_time: float
+    """that the executive takes for them, from rest to rest [s]"""
     descent_in_hex: Vec3
     """lowest axle position the guarded descent may go to [m]"""
     contact_load: float

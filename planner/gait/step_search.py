@@ -17,12 +17,14 @@ from athlete_twin.geometry.arrays import Joints, PerLeg, Points2, Points3, Vec2,
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import LEGS
 from athlete_twin.model.statics import torque_fractions
 from planner.belief import Belief
 from planner.decisions import NoStep
 from planner.footfall import FootfallMap
+from planner.gait.body_sway import BodySwayConfig
 from planner.gait.shift import ShiftLimits, plan_shift
 from planner.gait.skeleton import GaitConfig, nominal_footfall, stride
 from planner.gait.step_plan import StepPlan
@@ -106,7 +108,8 @@ class Ground:
     filled: HeightGrid
     """the same without NaN: unknown ground as the nearest known"""
     cautious: HeightGrid
-    """the same, unknown ground higher than the highest beside it: what a swing keeps clear of while it can"""
+    """the same, unknown ground higher than the highest beside it, vague ground by its doubt: what a swing keeps clear of while it
+    can"""
     footfalls: FootfallMap
 
 
@@ -123,6 +126,8 @@ class StepConfig:
     swing: SwingConfig
     leg_planner: str
     shift: ShiftLimits
+    sway: BodySwayConfig | None = None
+    """how shifts leave the straight path for the next swing; None keeps to it"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,6 +142,10 @@ class StepRequest:
     """distance of the chassis from its goal [m]"""
     behind: float = 0.0
     """what earlier chassis shifts were cut short by [m]"""
+    yaw: float = 0.0
+    """that the chassis shall have in world [rad]"""
+    swayed: Vec3 | None = None
+    """by which the chassis is off its straight path, in world; the gait's footfalls lie about the path; None on it [m]"""
     footfall_xy: Vec2 | None = None
     """the operator's own choice; the gait's when None [m]"""
     wide: bool = False
@@ -289,7 +298,7 @@ def _candidates(
         target, radius = request.footfall_xy, 1.5 * grid.cell
     else:
         target = nominal_footfall(
-            spec, config.gait, leg=request.leg, world_from_hex=belief.world_from_hex, heading=request.heading,
+            spec, config.gait, leg=request.leg, world_from_hex=on_path(belief, request.swayed), heading=request.heading,
             remaining=request.remaining,
         )  # fmt: skip
         search = config.search
@@ -325,8 +334,9 @@ def _cost(
     kin: Kinematics, belief: Belief, ground: Ground, request: StepRequest, config: StepConfig, places: Points3
 ) -> np.ndarray:
     spec, search = kin.spec, config.search
+    path = on_path(belief, request.swayed)
     target = nominal_footfall(
-        spec, config.gait, leg=request.leg, world_from_hex=belief.world_from_hex, heading=request.heading,
+        spec, config.gait, leg=request.leg, world_from_hex=path, heading=request.heading,
         remaining=request.remaining,
     )  # fmt: skip
     if request.footfall_xy is not None:
@@ -336,7 +346,7 @@ def _cost(
     distance = np.linalg.norm(places[:, :2] - target, axis=1) / (search.radius_fraction * span)
     terrain = np.minimum(ground.footfalls.cost[ix, iy] / search.typical_terrain, 3.0)
     ahead = min(span, request.remaining)
-    later = SE3(belief.world_from_hex.rotation, belief.world_from_hex.translation + np.append(ahead * request.heading, 0.0))
+    later = SE3(path.rotation, path.translation + np.append(ahead * request.heading, 0.0))
     hex_from_world = later.inverse()
     _, holds = leg_ik(
         spec, request.leg, hex_from_world.apply(places + spec.wheel.radius * UP), last_link_in_hex=hex_from_world.rotate(-UP)
@@ -344,6 +354,12 @@ def _cost(
     return np.asarray(
         search.weight_distance * distance + search.weight_terrain * terrain + search.weight_future * ~holds
     )
+
+
+def on_path(belief: Belief, swayed: Vec3 | None) -> SE3:
+    """The chassis where its straight path has it."""
+    pose = belief.world_from_hex
+    return pose if swayed is None else SE3(pose.rotation, pose.translation - swayed)
 
 
 def _lifted(
@@ -398,7 +414,7 @@ def _try(
     if not (ok.all() and stands.all()):
         refused["descent_reach"] += 1
         return None
-    waypoints, checks = q_lift[None], 0
+    waypoints, tolerance, checks = q_lift[None], config.swing.corner_tolerance, 0
     if not request.on_the_spot:  # straight down again, where it came from: no way to plan
         path = plan_swing(
             collision, spec, q_break, q[1],
@@ -407,7 +423,7 @@ def _try(
         if not isinstance(path, SwingPath):
             refused[f"path_{path.reason}"] += 1
             return None
-        waypoints, checks = path.waypoints, path.checks
+        waypoints, tolerance, checks = path.waypoints, path.corner_tolerance, path.checks
 
     landed = belief.joints.copy()
     landed[leg] = standing_q[0]
@@ -432,8 +448,9 @@ def _try(
         kin, belief, leg=leg, next_leg=request.next_leg,
         next_change=_next_change(kin, springs, belief, landed, request, config, payload_kg),
         landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
-        remaining=request.remaining, behind=request.behind, filled=ground.filled, gait=config.gait, stability=config.stability,
-        limits=config.shift, collision=config.collision, payload_kg=payload_kg,
+        remaining=request.remaining, behind=request.behind, yaw=request.yaw, swayed=request.swayed,
+        sway=config.sway, filled=ground.filled, gait=config.gait, stability=config.stability, limits=config.shift,
+        collision=config.collision, payload_kg=payload_kg,
     )  # fmt: skip
     poses, joints = [belief.world_from_hex], [belief.joints]
     for waypoint in (q_lift, *waypoints, q[0]):
@@ -449,6 +466,8 @@ def _try(
         footfall_in_world=np.asarray(place),
         lift_in_hex=lift_in_hex,
         swing=waypoints,
+        swing_corner_tolerance=tolerance,
+        swing_time=leg_timing(spec, np.concatenate([q_lift[None], waypoints]), corner_tolerance=tolerance).duration,
         descent_in_hex=ends[2],
         contact_load=touch.load_fraction * share,
         shift=shift,

@@ -9,12 +9,13 @@ allows. The shifts between phases are judged too: reach, torques and the stabili
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
 from athlete_twin.errors import PlanningError
-from athlete_twin.geometry.arrays import Vec2
+from athlete_twin.geometry.arrays import Vec2, Vec3
 from athlete_twin.model.spec import RobotSpec
 from planner.gait.cycle import ALL_DOWN, CycleVerdict, GaitCycle, gait_cycle, judge_cycle
 from planner.stability.rigid_stance import rigid_stances
@@ -115,20 +116,39 @@ def phase_fractions(cycle: GaitCycle, phase: int, displacements: np.ndarray, *, 
 
 def _best_place(cycle: GaitCycle, phase: int, config: SwayConfig, payload_kg: float) -> tuple[np.ndarray, float]:
     """Displacement with the least fraction, and that fraction; infinite if none is possible."""
-    limit = config.span * cycle.spec.chassis_height
-    axis = np.linspace(-1.0, 1.0, config.points)
+    limit = np.full(3, config.span * cycle.spec.chassis_height)
+    return least_on_grid(
+        lambda places: phase_fractions(cycle, phase, places, payload_kg=payload_kg),
+        low=-limit, high=limit, points=config.points, shrink=config.shrink, resolution=config.resolution,
+    )  # fmt: skip
+
+
+def least_on_grid(
+    judge: Callable[[np.ndarray], np.ndarray], *, low: Vec3, high: Vec3, points: int, shrink: float, resolution: float
+) -> tuple[Vec3, float]:
+    """The displacement that is judged least, on a grid that closes in on it, and that least; infinite if none is possible.
+
+    Args:
+        judge: of n displacements (n, 3), shape (n,); of equal ones the smallest is taken.
+        low: least displacement along each axis [m].
+        high: largest [m].
+        points: of the grid along each axis; odd.
+        shrink: of the grid from round to round.
+        resolution: the search ends when grid points are closer [m].
+    """
+    axis = np.linspace(-1.0, 1.0, points)
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    centre, least, half = np.zeros(3), np.inf, limit
+    centre, least, half = np.zeros(3), np.inf, float(max(high.max(), -low.min()))
     while True:
-        places = np.clip(centre + half * grid, -limit, limit)
-        fractions = phase_fractions(cycle, phase, places, payload_kg=payload_kg)
+        places = np.clip(centre + half * grid, low, high)
+        fractions = judge(places)
         equal = fractions <= fractions.min() + TIE
         place = places[equal][np.argmin(np.linalg.norm(places[equal], axis=1))]
         if fractions.min() < least or not np.isfinite(least):
             centre, least = place, float(fractions.min())
-        if not np.isfinite(least) or 2.0 * half / (config.points - 1) < config.resolution:
+        if not np.isfinite(least) or 2.0 * half / (points - 1) < resolution:
             return centre, least
-        half *= config.shrink
+        half *= shrink
 
 
 def _pulled_straight(

@@ -1,10 +1,9 @@
 """Collision checks of the drawn robot against the believed terrain and itself, with a clearance for each pair of parts.
 
 Place in the flow: fused terrain, joints and pose -> `LegCollision` (one leg moves, all else stands) for swing planning,
-`BodyCollision` (all move) for body shifts. Shapes are the URDF's collision solids, checked by coal; the terrain is a
-height field, solid below. One clearance holds against the terrain; between parts it grows with their distance along
-the chain, since compliance and encoder noise add up on the way ([SunSpiral2012] s3.4.1). Pairs that are closer than
-that by construction, in the drawings' stance, are left out, and so are links that share a pivot.
+`BodyCollision` (all move) for body shifts. Shapes are the URDF's collision solids and the payload's boxes, checked by coal;
+the terrain is a height field, solid below. One clearance holds against the terrain; between parts it grows with the
+uncertainty of where they are, see `collision_parts`.
 
 The terrain ends where its map ends: beyond it nothing collides.
 """
@@ -12,7 +11,6 @@ The terrain ends where its map ends: beyond it nothing collides.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
@@ -25,49 +23,15 @@ from athlete_twin.errors import PlanningError, TerrainError
 from athlete_twin.geometry.arrays import Joints, LegJoints, Vec3
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.model.spec import LEGS, RobotSpec, load_spec
-from athlete_twin.model.stance import regular_stance
-from athlete_twin.model.urdf import urdf_text
+from athlete_twin.model.spec import LEGS, RobotSpec
+from planner.motion.collision_parts import ClearanceTable, CollisionConfig, Parts, link_name, robot_parts
+
+__all__ = ["BodyCollision", "ClearanceTable", "CollisionConfig", "LegCollision", "terrain_shape"]
 
 TERRAIN = "terrain"
 OWN, OTHER_LEG = "own_leg_or_body", "other_leg"
 FOUNDATION = 2.0
 """how far the terrain's solid reaches below its lowest point: a leg deep inside still collides [m]"""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CollisionConfig:
-    """Clearances, as in a table by hand ([SunSpiral2012] s3.4.1; the paper's values are not published)."""
-
-    terrain_clearance: float = 0.05
-    """of every part of a swinging leg from the terrain: the map's error is centimetres [m]"""
-    near_ground_clearance: float = 0.01
-    """of all parts but wheels, on the vertical ways from and to the ground and in body shifts: they are where they
-    are, and rocks may stand close [m]"""
-    max_wheel_sink: float = 0.08
-    """deepest that the wheel's hull may reach into the terrain when it stands: tyre deflection and map error [m]"""
-    same_leg_clearance: tuple[float, ...] = (0.02, 0.03)
-    """between segments of one leg that are 2, 3 or more pivots apart [m]; how far neighbouring segments fold is what
-    the joints' limits say"""
-    body_clearance: float = 0.04
-    """of a leg from the chassis and payload [m]"""
-    neighbour_clearance: float = 0.06
-    """of a leg from its neighbour, the longest chain between two parts [m]"""
-    payload_size: tuple[float, float, float] | None = None
-    """box of the payload along x, y, z, standing on the middle of the deck plane [m]; None without payload"""
-
-    def __post_init__(self) -> None:
-        lengths = (
-            self.terrain_clearance,
-            self.near_ground_clearance,
-            self.max_wheel_sink,
-            self.body_clearance,
-            self.neighbour_clearance,
-            *self.same_leg_clearance,
-            *(self.payload_size or ()),
-        )
-        if not self.same_leg_clearance or not all(np.isfinite(v) and v >= 0.0 for v in lengths):
-            raise PlanningError(f"clearances and payload sizes must be finite and not negative, got {lengths}")
 
 
 class LegCollision:
@@ -94,12 +58,12 @@ class LegCollision:
         """
         self.spec, self.leg, self.config = spec, leg, config
         self.heights, self.world_from_hex = heights, world_from_hex
-        parts = _parts(spec.name, config)
+        parts = robot_parts(spec.name, config)
         self._model, geometry, moved = _with_one_leg(parts, joints, leg)
         self._scratch = self._model.createData()
-        mine = [(i, j, margin) for i, j, margin in parts.pairs if moved[i] or moved[j]]
-        # Close ones first, always checked; then those with the neighbours, most of them far apart.
-        mine.sort(key=lambda pair: parts.neighbours(*pair[:2]))
+        mine = self._pairs_that_may_meet(parts, geometry, np.array(moved))
+        # Close ones first, always checked; then those with other legs, most of them far apart.
+        mine.sort(key=lambda pair: parts.between_legs(*pair[:2]))
         for i, j, _ in mine:
             geometry.addCollisionPair(pin.CollisionPair(i, j))
         self._grounded = [i for i, moves in enumerate(moved) if moves and parts.order[i] > 0]
@@ -116,22 +80,33 @@ class LegCollision:
         self._wheel_object = self._grounded[self._is_wheel.index(True)]
         radii = parts.radii[self._grounded]
         self._bounds = {c: field_of.bound(radii + c) for c in (config.terrain_clearance, config.near_ground_clearance)}
-        self._cull_neighbours(parts, mine, moved)
-        for k in (*self._neighbour_pairs, *self._terrain_pairs):
+        self._cull_other_legs(parts, mine, moved)
+        for k in (*self._other_leg_pairs, *self._terrain_pairs):
             self._state.deactivateCollisionPair(k)
 
-    def _cull_neighbours(self, parts: _Parts, mine: list[tuple[int, int, float]], moved: list[bool]) -> None:
+    def _pairs_that_may_meet(self, parts: Parts, geometry: Any, moved: np.ndarray) -> list[tuple[int, int, float]]:
+        """Those of the moving leg; of them with other legs, which any angles of it bring as near as their clearance."""
+        first, second, clearances, leg = parts.first, parts.second, parts.clearances, np.array(parts.leg)
+        mover, other = np.where(moved[first], first, second), np.where(moved[first], second, first)
+        placed = np.array([solid.placement.translation for solid in geometry.geometryObjects])
+        away = np.linalg.norm(placed[other] - self.spec.hips_in_hex[self.leg], axis=1)
+        near = away < parts.reach[mover] + parts.radii[other] + clearances
+        stands = (leg[other] >= 0) & (leg[other] != self.leg)
+        chosen = np.flatnonzero((moved[first] | moved[second]) & (near | ~stands))
+        return [parts.pairs[k] for k in chosen.tolist()]
+
+    def _cull_other_legs(self, parts: Parts, mine: list[tuple[int, int, float]], moved: list[bool]) -> None:
         """Bounding spheres of the pairs with standing legs, for a quick look before the exact check."""
         q = np.zeros(self.spec.dof)
         self._place(q)
-        far = [(k, i, j, margin) for k, (i, j, margin) in enumerate(mine) if parts.neighbours(i, j)]
+        far = [(k, i, j, margin) for k, (i, j, margin) in enumerate(mine) if parts.between_legs(i, j)]
         rows = {solid: row for row, solid in enumerate(i for i, moves in enumerate(moved) if moves)}
         self._moving = list(rows)
         self._ground_rows = np.array([rows[i] for i in self._grounded])
-        self._neighbour_pairs = [k for k, *_ in far]
-        self._mover = np.array([rows[i if moved[i] else j] for _, i, j, _ in far])
+        self._other_leg_pairs = [k for k, *_ in far]
+        self._mover = np.array([rows[i if moved[i] else j] for _, i, j, _ in far], dtype=int)
         standing = [j if moved[i] else i for _, i, j, _ in far]
-        self._standing_in_hex = np.array([self._state.oMg[s].translation for s in standing])
+        self._standing_in_hex = np.array([self._state.oMg[s].translation for s in standing]).reshape(-1, 3)
         self._reach2 = np.array([(parts.radii[i] + parts.radii[j] + margin) ** 2 for _, i, j, margin in far])
 
     def is_free(self, q: LegJoints) -> bool:
@@ -191,7 +166,7 @@ class LegCollision:
         centres = self._centres()
         gaps = np.square(centres[self._mover] - self._standing_in_hex).sum(axis=1)
         for n in np.flatnonzero(gaps < self._reach2):
-            if pin.computeCollision(self._geometry, self._state, self._neighbour_pairs[n]):
+            if pin.computeCollision(self._geometry, self._state, self._other_leg_pairs[n]):
                 return OTHER_LEG
         return TERRAIN if self._terrain_hit(centres, clearance, wheels_too=wheels_too) is not None else None
 
@@ -222,7 +197,7 @@ class BodyCollision:
 
     def __init__(self, spec: RobotSpec, heights: HeightGrid, config: CollisionConfig) -> None:
         self.spec, self.config = spec, config
-        self._parts = _parts(spec.name, config)
+        self._parts = robot_parts(spec.name, config)
         self._ground = _Ground(heights)
         geometry = pin.GeometryModel(self._parts.geometry)
         for i, j, _ in self._parts.pairs:
@@ -241,7 +216,8 @@ class BodyCollision:
             self._state.collisionRequests[k].security_margin = margin
         for k in self._terrain_pairs:
             self._state.collisionRequests[k].security_margin = config.near_ground_clearance
-            self._state.deactivateCollisionPair(k)
+        parts = self._parts
+        self._reach2 = (parts.radii[parts.first] + parts.radii[parts.second] + parts.clearances) ** 2
 
     def is_free(self, joints: Joints, world_from_hex: SE3) -> bool:
         """Whether all parts keep their clearance, wheels against terrain excepted: they are planted."""
@@ -252,11 +228,13 @@ class BodyCollision:
         self._geometry.geometryObjects[self._field].placement = self._ground.placement_in_hex(world_from_hex)
         q = self._parts.configuration(joints)
         pin.updateGeometryPlacements(self._parts.model, self._scratch, self._geometry, self._state, q)
-        if pin.computeCollisions(self._geometry, self._state, True):
-            hits = (k for k in range(len(self._parts.pairs)) if pin.computeCollision(self._geometry, self._state, k))
-            return _named(self._geometry, next(hits))
         placed = self._state.oMg
-        centres = world_from_hex.apply(np.array([placed[i].translation for i in self._grounded]))
+        centres_in_hex = np.array([placed[i].translation for i in range(len(self._parts.leg))])
+        gaps = np.square(centres_in_hex[self._parts.first] - centres_in_hex[self._parts.second]).sum(axis=1)
+        for k in np.flatnonzero(gaps < self._reach2).tolist():
+            if pin.computeCollision(self._geometry, self._state, k):
+                return _named(self._geometry, k)
+        centres = world_from_hex.apply(centres_in_hex[self._grounded])
         for k, close in zip(self._terrain_pairs, self._bound.may_touch(centres), strict=True):
             if close and pin.computeCollision(self._geometry, self._state, k):
                 return _named(self._geometry, k)
@@ -326,102 +304,7 @@ def _cached_shape(heights: HeightGrid) -> Any:
     return terrain_shape(heights)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _Parts:
-    """All solids of one robot, in URDF order, and the pairs of them to check."""
-
-    spec: RobotSpec
-    model: Any
-    """pinocchio's model with docks and wheels free"""
-    geometry: Any
-    """without pairs"""
-    leg: tuple[int, ...]
-    """index of the leg a solid belongs to, -1 for the chassis"""
-    order: tuple[int, ...]
-    """place of a solid's link along its leg, 0 (hip yaw) to dof (the wheel); -1 for the chassis"""
-    radii: np.ndarray
-    """of the bounding spheres about the solids' middles [m]"""
-    pairs: tuple[tuple[int, int, float], ...]
-    """solids and their clearance [m]"""
-    q_of: np.ndarray
-    """places of the legs' joints in pinocchio's configuration, shape (6, dof)"""
-
-    def neighbours(self, i: int, j: int) -> bool:
-        """Whether two solids belong to different legs."""
-        return self.leg[i] >= 0 and self.leg[j] >= 0 and self.leg[i] != self.leg[j]
-
-    def configuration(self, joints: np.ndarray) -> np.ndarray:
-        """Pinocchio's configuration: docks and wheels at zero."""
-        q = pin.neutral(self.model)
-        q[self.q_of] = joints
-        return np.asarray(q)
-
-
-@lru_cache(maxsize=8)
-def _parts(robot: str, config: CollisionConfig) -> _Parts:
-    spec = load_spec(robot)
-    urdf = urdf_text(spec, visuals={}, materials={})
-    model = pin.buildModelFromXML(urdf)
-    geometry = pin.buildGeomFromUrdfString(model, urdf, pin.COLLISION)
-    if config.payload_size is not None:
-        box = coal.Box(*config.payload_size)
-        middle = np.array([0.0, 0.0, spec.top_in_hex + 0.5 * config.payload_size[2]])
-        geometry.addGeometryObject(pin.GeometryObject("payload_0", 0, pin.SE3(np.eye(3), middle), box))
-    leg, order = zip(*(_place_of(o.name, spec) for o in geometry.geometryObjects), strict=True)
-    q_of = np.array(
-        [[model.joints[model.getJointId(f"leg{n + 1}_{name}")].idx_q for name in spec.joint_names] for n in range(LEGS)]
-    )
-    found = _Parts(
-        spec=spec,
-        model=model,
-        geometry=geometry,
-        leg=leg,
-        order=order,
-        radii=np.array([_bounding_radius(o.geometry) for o in geometry.geometryObjects]),
-        pairs=(),
-        q_of=q_of,
-    )
-    candidates = [
-        (i, j, margin)
-        for i in range(len(leg))
-        for j in range(i + 1, len(leg))
-        if (margin := _margin(found, i, j, config)) is not None
-    ]
-    pairs = _apart_in_stance(found, candidates)
-    return _Parts(**{**found.__dict__, "pairs": pairs})
-
-
-def _margin(parts: _Parts, i: int, j: int, config: CollisionConfig) -> float | None:
-    """Clearance of two solids [m]; None when the pair is not checked."""
-    a, b = parts.leg[i], parts.leg[j]
-    if a < 0 and b < 0:
-        return None
-    if a < 0 or b < 0:
-        # A hip's housing turns in the chassis that carries it.
-        hip = parts.order[j if a < 0 else i] == 0
-        return None if hip else config.body_clearance
-    if a == b:
-        segment = _segments(parts.spec)
-        apart = abs(segment[parts.order[i]] - segment[parts.order[j]])
-        table = config.same_leg_clearance
-        return None if apart < 2 else table[min(apart - 2, len(table) - 1)]
-    return config.neighbour_clearance if (a - b) % LEGS in (1, LEGS - 1) else None
-
-
-def _apart_in_stance(parts: _Parts, candidates: list[tuple[int, int, float]]) -> tuple[tuple[int, int, float], ...]:
-    """The candidates that keep their clearance in the drawings' stance: the others are close by construction."""
-    geometry = pin.GeometryModel(parts.geometry)
-    for i, j, _ in candidates:
-        geometry.addCollisionPair(pin.CollisionPair(i, j))
-    state = geometry.createData()
-    q = parts.configuration(regular_stance(parts.spec))
-    pin.updateGeometryPlacements(parts.model, parts.model.createData(), geometry, state, q)
-    for k, (_, _, margin) in enumerate(candidates):
-        state.collisionRequests[k].security_margin = margin
-    return tuple(c for k, c in enumerate(candidates) if not pin.computeCollision(geometry, state, k))
-
-
-def _with_one_leg(parts: _Parts, joints: np.ndarray, leg: int) -> tuple[Any, Any, list[bool]]:
+def _with_one_leg(parts: Parts, joints: np.ndarray, leg: int) -> tuple[Any, Any, list[bool]]:
     """A chain of one leg's joints, all solids hung on it or fixed in hex, and which of them move."""
     joints = np.asarray(joints, dtype=float)
     if joints.shape != (LEGS, parts.spec.dof) or not 0 <= leg < LEGS:
@@ -450,36 +333,9 @@ def _with_one_leg(parts: _Parts, joints: np.ndarray, leg: int) -> tuple[Any, Any
     return chain, geometry, moved
 
 
-def _place_of(name: str, spec: RobotSpec) -> tuple[int, int]:
-    """Leg index and place along the leg of a solid by its URDF name ("leg1_knee_pitch_0", "wheel3_0", "hex_2")."""
-    link = _link(name)
-    if link.startswith("wheel"):
-        return int(link[5:]) - 1, spec.dof
-    if link.startswith("leg"):
-        number, joint = link[3:].split("_", 1)
-        return int(number) - 1, spec.joint_names.index(joint)
-    return -1, -1
-
-
-def _link(name: str) -> str:
-    return str(name).rsplit("_", 1)[0] if str(name).rsplit("_", 1)[-1].isdigit() else str(name)
-
-
-def _segments(spec: RobotSpec) -> list[int]:
-    """Rigid segment between two pivots that each link of a leg is part of, the wheel last; axes that meet are one."""
-    apart = [bool(np.any(joint.offset != 0.0)) for joint in spec.joints[1:]]
-    links = [0, *(int(n) for n in np.cumsum(apart))]
-    return [*links, links[-1]]
-
-
 def _named(geometry: Any, pair: int) -> str:
     ends: Sequence[int] = (geometry.collisionPairs[pair].first, geometry.collisionPairs[pair].second)
-    return " against ".join(_link(geometry.geometryObjects[i].name) for i in ends)
-
-
-def _bounding_radius(shape: Any) -> float:
-    shape.computeLocalAABB()
-    return float(shape.aabb_radius) + float(np.linalg.norm(shape.aabb_center))
+    return " against ".join(link_name(geometry.geometryObjects[i].name) for i in ends)
 
 
 def _pin_se3(transform: SE3) -> Any:

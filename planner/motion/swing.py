@@ -3,7 +3,8 @@
 Place in the flow: footfall and inverse kinematics -> swing -> sequence (a straight move with a guard, a joint move
 through way-points, a guarded straight descent). All steps pass points straight above lift-off and touchdown, so that a
 wheel breaks contact although the chassis sags ([SunSpiral2012] s3.3); these are checked for reach too. Between them the
-straight line in joint space is tried first, then over a few raised points, then the sampling planner, smoothed.
+straight line in joint space is tried first, then over a few raised points, then the sampling planner, smoothed. The
+executive cuts its corners, by as much as was found free of collisions too.
 
 The straight ways are solved as the executive will solve them: closed form, the last link keeping its direction. The
 sampling box surrounds both ends by a padding within the limits, so rolls stay near zero and no joint passes its limits.
@@ -19,10 +20,12 @@ from jaxtyping import Float
 
 from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import LegJoints, Vec3
+from athlete_twin.messages import CORNER_TOLERANCE, MOST_CORNER_TOLERANCE
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import RobotSpec
 from planner.motion.checker import CountingChecker, EdgeCheck
 from planner.motion.collision import LegCollision
+from planner.motion.cornering import free_corner_tolerance
 from planner.motion.planners import plan
 from planner.motion.relief import ReliefConfig, hanging_torque, relieve
 from planner.motion.sbl import NoPath, SblConfig, no_path
@@ -47,10 +50,14 @@ class SwingConfig:
     """tried above the given way-points: where a wheel stands beside a rock, and for steps over one [m]"""
     padding_deg: tuple[float, float, float] = (5.0, 40.0, 20.0)
     """of the sampling box beyond both ends, for joints about x (rolls), y (pitches) and z (yaw) [deg]"""
+    corner_tolerance: float = CORNER_TOLERANCE
+    """by which the executive may cut corners at most; less where that collides, 0: it stops at each [rad]"""
 
     def __post_init__(self) -> None:
         if not (self.vertical_step > 0.0 and self.branch_tolerance > 0.0 and self.max_joint_step > 0.0):
             raise PlanningError("vertical_step, branch_tolerance and max_joint_step must be positive")
+        if not 0.0 <= self.corner_tolerance <= MOST_CORNER_TOLERANCE:
+            raise PlanningError(f"corner_tolerance {self.corner_tolerance} rad is outside 0 to {MOST_CORNER_TOLERANCE}")
         if not self.extra_heights or min(self.extra_heights) < 0.0 or min(self.padding_deg) < 0.0:
             raise PlanningError(f"extra_heights {self.extra_heights} and padding_deg {self.padding_deg} must not be negative")
 
@@ -80,6 +87,8 @@ class SwingPath:
     """straight down to the goal, shape (m, dof) [rad]"""
     lengths: tuple[float, float, float]
     """joint-space lengths of the three [rad]"""
+    corner_tolerance: float
+    """by which the executive may cut the corners of `waypoints`: so cut, they are free [rad]"""
     checks: int
     """configurations checked for collision"""
     stats: SwingStats
@@ -128,17 +137,24 @@ def plan_swing(
         return last
     checker = CountingChecker(refusal=collision.refusal)
     crossing = _cross(first.path[-1], last.path[-1], checker, legs, planner, rng, config)
-    checks = legs.checks + checker.count
     if isinstance(crossing, NoPath):
         return replace(crossing, checks=legs.checks + crossing.checks)
     middle, method, raw_length, rounds = crossing
     waypoints = np.concatenate([first.path[:-1], middle, last.path[::-1][1:]])
+    climbing = CountingChecker(collision.is_free_near_ground)
+    tolerance = free_corner_tolerance(
+        waypoints,
+        [climbing] * (len(first.path) - 1) + [checker] * (len(middle) - 1) + [climbing] * (len(last.path) - 1),
+        most=config.corner_tolerance,
+        spacing=config.smoothing.fine_resolution,
+    )
     return SwingPath(
         lift=lift,
         waypoints=waypoints,
         descent=descent,
         lengths=(path_length(lift), path_length(waypoints), path_length(descent)),
-        checks=checks,
+        corner_tolerance=tolerance,
+        checks=legs.checks + checker.count + climbing.count,
         stats=SwingStats(
             method=method, raised_by=max(first.height, last.height), raw_length=raw_length, smoothing_rounds=rounds
         ),
@@ -241,7 +257,9 @@ def _cross(
         nodes = np.concatenate([ups[0], ups[1][::-1]])
         if height == 0.0 and not (a != b).any():
             return nodes, "direct", 0.0, 0
-        if all(EdgeCheck(p, q).is_free(checker, resolution) for p, q in _longest_first(nodes)):
+        # The straight way is driven as it is; others are looked at finely once they are smoothed.
+        spacing = config.smoothing.fine_resolution if height == 0.0 else resolution
+        if all(EdgeCheck(p, q).is_free(checker, spacing) for p, q in _longest_first(nodes)):
             if height == 0.0:
                 return nodes, "direct", path_length(nodes), 0
             smoothed = smooth(nodes, checker, config.smoothing)

@@ -71,15 +71,8 @@ class Guide:
 
     def ways(self, belief: Belief, ground: Ground) -> list[Way]:
         """Headings to try, the best first."""
-        here = belief.world_from_hex.translation[:2]
-        offset = self._goal - here
-        distance = float(np.linalg.norm(offset))
-        # At the goal itself, with a leg still to come down, any way is as good.
-        heading, remaining = unit(offset) if distance > 1e-9 else belief.world_from_hex.rotation[:2, 0].copy(), distance
-        self.route = self._routed(belief, ground) if self._method == "map" and distance > 1e-9 else None
-        if isinstance(self.route, Route):
-            heading = self.route.heading(self._config.look_ahead)
-            remaining = max(distance, self.route.length)
+        self.route, heading, remaining = self._straight_on(belief, ground)
+        offset = self._goal - belief.world_from_hex.translation[:2]
         aside = [s * np.deg2rad(a) for a in self._headings.aside_deg for s in (1.0, -1.0)]
         # Towards the goal's side first, where the route leaves it to the headings.
         if float(heading @ np.array([-offset[1], offset[0]])) > 0.0:
@@ -87,6 +80,11 @@ class Guide:
         kept = self._aside if self._steps_left > 0 else 0.0
         angles = [kept, *([0.0] if kept else []), *(a for a in aside if a != kept)]
         return [Way(heading=turned(heading, a), aside=a, remaining=remaining) for a in angles]
+
+    def way_from(self, belief: Belief, ground: Ground, aside: float) -> Way:
+        """The heading so far aside from the route from where the robot might stand; `route` stays what it is."""
+        _, heading, remaining = self._straight_on(belief, ground)
+        return Way(heading=turned(heading, aside), aside=aside, remaining=remaining)
 
     def took(self, way: Way) -> None:
         """A step was found that way: one aside from the route is kept for a while."""
@@ -97,6 +95,17 @@ class Guide:
             self._steps_left -= 1
         else:
             self._aside, self._steps_left = way.aside, self._headings.steps_aside - 1
+
+    def _straight_on(self, belief: Belief, ground: Ground) -> tuple[Route | NoRoute | None, Vec2, float]:
+        """The route, the heading along it, and what remains of it [m]."""
+        offset = self._goal - belief.world_from_hex.translation[:2]
+        distance = float(np.linalg.norm(offset))
+        # At the goal itself, with a leg still to come down, any way is as good.
+        heading = unit(offset) if distance > 1e-9 else belief.world_from_hex.rotation[:2, 0].copy()
+        route = self._routed(belief, ground) if self._method == "map" and distance > 1e-9 else None
+        if isinstance(route, Route):
+            return route, route.heading(self._config.look_ahead), max(distance, route.length)
+        return route, heading, distance
 
     def _routed(self, belief: Belief, ground: Ground) -> Route | NoRoute:
         here = belief.world_from_hex.translation[:2]

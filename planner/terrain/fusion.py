@@ -139,6 +139,17 @@ class FusedTerrain:
         heights[unknown] += margin
         return replace(self, grid=replace(self.grid, heights=heights))
 
+    def raised(self, deviations: float, *, over: float) -> FusedTerrain:
+        """A copy whose measured cells are higher by what so many sigma of theirs exceed `over` [m]: what a clearance does not cover.
+
+        Guessed cells stay: what is guessed has no sigma.
+        """
+        if not (deviations >= 0.0 and over >= 0.0):
+            raise ConfigError(f"deviations are {deviations} and the height covered is {over} m, must not be negative")
+        sigma = np.where(self.unknown, 0.0, self.sigma)
+        heights = self.grid.heights + np.maximum(deviations * sigma - over, 0.0)
+        return replace(self, grid=replace(self.grid, heights=heights))
+
 
 class TerrainMap:
     """The map as it grows: fuse views into it, take snapshots of it."""

@@ -11,7 +11,7 @@ from gymnasium.utils.env_checker import check_env
 
 import envs  # noqa: F401
 from athlete_twin.errors import ConfigError
-from athlete_twin.messages import CommandSequence, ImageRequest, StereoPair, Wait
+from athlete_twin.messages import CommandSequence, ImageRequest, Receipt, StereoPair, Wait
 from athlete_twin.model.spec import load_spec
 from athlete_twin.world.injected import InjectedFault
 from athlete_twin.world.scenario import load_scenario
@@ -19,7 +19,7 @@ from envs import build
 from envs.env import UplinkEnv
 from envs.operator_env import OperatorEnv
 from envs.rewards import RewardConfig, StepTruth, reward_terms
-from envs.spaces import KINDS, NEVER
+from envs.spaces import KINDS, NEVER, RECEIPTS, DownlinkView, downlink_space
 from planner.decisions import DECISIONS, Decision
 
 IDS = [f"AthleteTwin/{robot}{kind}-v0" for robot in ("SdmB", "T12") for kind in ("-Mock", "", "-Operator")]
@@ -307,3 +307,17 @@ def test_a_stop_before_any_proposal_ends_the_episode(scripted):
     env = operator_env(scripted)
     env.reset(seed=0)
     assert env.step_decision(Decision(kind="stop"))[2]
+
+
+def test_what_comes_late_replaces_nothing_newer_and_a_receipt_says_whose_it_is():
+    spec = load_spec("sdm_b")
+    view = DownlinkView(spec, ("hazcam_1",), (3.0, 0.0))
+    assert view.observation(0.0)["receipt_of"] == -1.0
+    common = {"robot_id": "sdm_b", "command_index": -1}
+    newer = Receipt(seq=5, t=9.0, sequence_id=3, status="queued", **common)
+    older = Receipt(seq=4, t=8.0, sequence_id=2, status="completed", **common)
+    for message in (newer, older):
+        view.take(message)
+    seen = view.observation(10.0)
+    assert RECEIPTS[seen["receipt"]] == "queued" and seen["receipt_of"] == 3.0
+    assert downlink_space(spec, ("hazcam_1",)).contains(seen)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from athlete_twin.errors import ConfigError
-from envs.recorder import read_recording
+from envs.recording import read_recording
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 SCRIPT = SCRIPTS / "rock_field_trial.py"
@@ -42,7 +42,7 @@ def trial_script():
         (("--scenario", "moon"), "scenario 'moon' is not known"),
         (("--variant", "best"), "variant 'best' is not known"),
         (("--delay", "-1"), "link delay is -1.0 s, must be 0 or more"),
-        (("--operator", "bob"), "operator 'bob' is not known; known: approve_all, human"),
+        (("--operator", "bob"), "operator 'bob' is not known; known: approve_all, cautious, slow, distracted, human"),
         (("--cycles", "0"), "cycles is 0, must be 1 or more"),
         (("--seed", "-3"), "seed is -3, must be 0 or more"),
         (("--payload-kg", "1e6"), "payload is 1000000.0 kg"),
@@ -124,6 +124,7 @@ def test_same_command_twice_walks_the_same_way(tmp_path):
 def test_typed_answers_become_decisions():
     parsed = script("terminal_operator").parsed
     assert parsed("a").kind == "approve" and parsed("r").kind == "reject" and parsed("s").kind == "stop"
+    assert parsed("r too near the rock").reason == "too near the rock"
     assert parsed("l 3").leg == 2
     assert parsed("c navcam_1 hazcam_2").cameras == ("navcam_1", "hazcam_2")
     assert parsed("w 12.5").duration == 12.5

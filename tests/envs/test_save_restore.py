@@ -81,7 +81,10 @@ def in_fresh_process(name, steps):
 
 
 def check_a_branch(name, *, steps, branches):
-    """Goes back to several moments, twice each, and carries one over to another environment; all ends are the same."""
+    """Goes back to several moments, twice each, and carries one over to another environment; all ends are the same.
+
+    Returns how many messages were heard.
+    """
     env = made(name)
     player, spacing = Player(env), steps // (branches + 1)
     whole = Player(made(name)).play(steps)
@@ -103,18 +106,18 @@ def check_a_branch(name, *, steps, branches):
     player.env = other
     player.back_to(mark)
     assert player.play(steps - branches * spacing) == whole
-    assert player.heard > steps / 20
+    return player.heard
 
 
 def test_mock_goes_on_from_a_saved_moment_as_it_did():
-    check_a_branch(MOCK, steps=STEPS, branches=3)
+    assert check_a_branch(MOCK, steps=STEPS, branches=3) > STEPS / 20
 
 
 @pytest.mark.slow
 @pytest.mark.ci
 @pytest.mark.parametrize("name", [TWIN, "AthleteTwin/T12-v0"])
 def test_twin_goes_on_from_a_saved_moment_as_it_did(name):
-    check_a_branch(name, steps=120, branches=3)
+    assert check_a_branch(name, steps=120, branches=3) > 6
 
 
 def test_two_processes_and_a_reset_give_the_same_bits():

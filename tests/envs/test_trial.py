@@ -10,7 +10,7 @@ from athlete_twin.link import downlink, uplink
 from athlete_twin.messages import Fault
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
-from envs.recorder import read_recording
+from envs.recording import read_recording
 from envs.scoring import map_error, true_margins
 from envs.trial import Trial, TrialSetup, trajectory_sha256, usable_folder, write_json
 from planner.decisions import ApproveAll, Decision, NoStep, RejectSome

@@ -73,7 +73,8 @@ def athlete(robot: str) -> Athlete:
 
 def carry_out(robot: Athlete, *commands: Command) -> None:
     """Until the sequence is done and the robot at rest again."""
-    made = robot.receive(CommandSequence(seq=0, robot_id=robot.robot_id, t=robot.t, sequence_id=0, commands=commands))
+    number = robot.executive.newest_seq + 1
+    made = robot.receive(CommandSequence(seq=number, robot_id=robot.robot_id, t=robot.t, sequence_id=number, commands=commands))
     while robot.busy or robot.truth().moving:
         made += robot.advance(robot.t + 0.5)
     assert not [m for m in made if isinstance(m, Fault)]

@@ -9,11 +9,12 @@ from athlete_twin.assets import named_toml, read_toml
 from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Receipt
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
-from planner.agent import LOST_AFTER, GroundAgent
+from planner.agent import GroundAgent
 from planner.config import planner_config
-from planner.decisions import Decision, NoStep, Proposal, Waiting
+from planner.decisions import Decision, NoStep, Proposal, Uplink, Waiting
 from planner.footfall import score_footfalls
 from planner.gait.step_search import Ground, search_step
+from planner.underway import SILENCE
 
 APPROVE = Decision(kind="approve")
 
@@ -37,8 +38,9 @@ def proposal(agent: GroundAgent, t: float) -> Proposal:
 
 def receipt(sequence: CommandSequence, status: str) -> Receipt:
     return Receipt(
-        seq=0, robot_id=sequence.robot_id, t=2.0, sequence_id=sequence.sequence_id, command_index=-1, status=status
-    )
+        seq=10 * sequence.sequence_id + len(status), robot_id=sequence.robot_id, t=2.0, sequence_id=sequence.sequence_id,
+        command_index=-1, status=status,
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("code", ["ratchet_slip", "gremlins"])
@@ -49,11 +51,11 @@ def test_after_a_fault_without_a_remedy_of_its_own_the_ground_goes_on_or_says_wh
         sent = agent.decide(APPROVE, sent_at)
         number, t = sent.sequence_id, sent_at + 5.0
         fault = Fault(
-            seq=0, robot_id=sent.robot_id, t=t, code=code, text="gear", sequence_id=number, command_index=0, leg=first.leg
+            seq=int(t), robot_id=sent.robot_id, t=t, code=code, text="gear", sequence_id=number, command_index=0, leg=first.leg
         )
         torques = agent._telemetry.torques.copy()
         torques[first.leg, 1] += 700.0
-        told = replace(agent._telemetry, seq=9, t=t, torques=torques, executive_state="fault", sequence_id=number)
+        told = replace(agent._telemetry, seq=agent._telemetry.seq + 1, t=t, torques=torques, executive_state="fault", sequence_id=number)
         for message in (fault, receipt(sent, "failed"), told):
             agent.observe(message, t)
         action = agent.next(t)
@@ -75,17 +77,16 @@ def test_an_edit_that_does_not_work_comes_back_as_the_gaits_own_step_with_the_re
     assert sequence is not None and sequence.commands
 
 
-def test_a_sequence_that_nobody_acknowledges_is_proposed_again_and_an_acknowledged_one_is_waited_for(agent):
-    first = proposal(agent, 1.0)
+def test_a_sequence_of_which_nothing_is_heard_goes_up_again_as_it_was(agent):
+    proposal(agent, 1.0)
     sent = agent.decide(APPROVE, 1.0)
-    assert isinstance(agent.next(1.0 + LOST_AFTER - 0.1), Waiting)
-    again = proposal(agent, 1.0 + LOST_AFTER + 0.1)
-    assert again.index > first.index
-    np.testing.assert_allclose(again.footfall_in_world, first.footfall_in_world)
-    resent = agent.decide(APPROVE, 70.0)
-    assert resent.sequence_id > sent.sequence_id
-    agent.observe(receipt(resent, "queued"), 80.0)
-    assert isinstance(agent.next(1000.0), Waiting)
+    assert isinstance(agent.next(1.0 + SILENCE - 0.1), Waiting)
+    again = agent.next(1.0 + SILENCE + 0.1)
+    assert isinstance(again, Uplink) and again.sequence is sent
+    assert isinstance(agent.next(1.0 + SILENCE + 5.0), Waiting)
+    agent.observe(receipt(sent, "queued"), 80.0)
+    assert isinstance(agent.next(80.0 + SILENCE - 1.0), Waiting)
+    assert isinstance(agent.next(80.0 + SILENCE + 1.0), Uplink)
 
 
 def test_pictures_without_ground_beside_the_wheels_are_no_measurement_of_their_depth(agent, monkeypatch):

@@ -48,6 +48,16 @@ def test_every_missing_choice_is_named(key):
         planner_config(incomplete, load_spec("sdm_b"), name="x")
 
 
+def test_a_variant_says_what_payload_is_carried():
+    table = {"collision": {"payload_above": [2.2, 1.6, 1.5], "payload_below": [1.2, 1.0, 0.5]}}
+    config = planner_config(content("integrated") | {"settings": table}, load_spec("sdm_b"), name="x").step.collision
+    assert (config.payload_above, config.payload_below) == ((2.2, 1.6, 1.5), (1.2, 1.0, 0.5))
+    assert config.terrain_clearance == pytest.approx(0.3 * 0.242)  # the rest of the stage stays
+    wrong = {"collision": {"payload_below": [1.0, 0.0, 0.5]}}
+    with pytest.raises(ConfigError, match=r"\[settings.collision\] payload_below is .*, must be three positive lengths"):
+        planner_config(content("integrated") | {"settings": wrong}, load_spec("sdm_b"), name="x")
+
+
 def test_settings_reach_their_stage_and_wrong_ones_are_refused():
     base = content("integrated")
     config = planner_config(base | {"settings": {"footfall": {"max_slope_deg": 15.0}}}, load_spec("sdm_b"), name="x")
@@ -112,3 +122,11 @@ def test_a_robots_drawings_say_what_its_maps_and_axles_are_believed_and_a_varian
 def test_a_soil_that_bears_nothing_is_refused():
     with pytest.raises(ConfigError, match=r"\[settings.footfall\] soil_k is 0.0, must be positive"):
         planner_config(content("integrated") | {"settings": {"footfall": {"soil_k": 0.0}}}, load_spec("sdm_b"), name="x")
+
+
+def test_only_a_variant_that_sways_has_settings_of_sway():
+    assert planner_config(content("integrated"), load_spec("sdm_b"), name="x").step.sway is None
+    swaying = content("sway") | {"settings": {"sway": {"span": 0.05}}}
+    assert planner_config(swaying, load_spec("sdm_b"), name="x").step.sway.span == 0.05
+    changed = {key for key in CHOICES if content("sway")[key] != content("integrated")[key]}
+    assert changed == {"body_motion"}

@@ -81,3 +81,10 @@ def test_the_twin_climbs_onto_a_ledge(script, figures):
     # The chassis is higher by the ledge, and no joint saturates.
     assert walked.poses[-1].translation[2] - crossing.begin.translation[2] > 0.2
     assert np.nanmax(walked.torques) < 1.0
+
+
+@pytest.mark.slow
+def test_a_wheel_feels_less_in_a_swing_without_jumps_and_the_guard_is_far(script, figures):
+    most, mean, duration = script("swing_twin").swing_rows(figures.Gaits("sdm_b"), 0)
+    assert most["ratio"] < 1.0 and most["ours"] < 2.0  # of 3 % at which the guard stops
+    assert mean["ours"] < most["ours"] and 1.0 < duration["ratio"] < 1.1

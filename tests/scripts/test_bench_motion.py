@@ -86,6 +86,11 @@ def test_the_bench_prints_its_rows_and_a_log_that_ompl_reads(script, tmp_path, c
     rows = {r["name"]: r for r in table["rows"]}
     assert rows["sbl, 2 problems: solved"]["ours"] == 1.0
     assert rows["sbl: time to plan, median"]["peer_name"] == "rrtconnect"
+    for robot in ("sdm_b", "t12"):
+        swing = rows[f"{robot}, 1 swings: duration, mean"]
+        assert 0.9 < swing["ratio"] < 1.5 and swing["peer_name"] == "constant speed, with jumps"
+        assert rows[f"{robot}, 1 swings: acceleration commanded, largest"]["met"]
+        assert rows[f"{robot}, 1 swings: duration where toppra finds one (1), mean"]["met"]
     database = tmp_path / "motion.db"
     ompl_tools.readBenchmarkLog(str(database), [str(log)], False)
     import sqlite3

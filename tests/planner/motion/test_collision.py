@@ -7,10 +7,10 @@ from athlete_twin.errors import PlanningError, TerrainError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import kinematics
-from athlete_twin.model.reach import leg_ik
+from athlete_twin.model.reach import all_legs_ik, leg_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance, stance_wheels_in_hex
-from planner.motion.collision import BodyCollision, CollisionConfig, LegCollision, terrain_shape
+from planner.motion.collision import BodyCollision, ClearanceTable, CollisionConfig, LegCollision, terrain_shape
 
 ROBOTS = ("sdm_b", "t12")
 CELL = 0.05
@@ -177,7 +177,8 @@ def test_a_wheel_hits_the_chassis_where_its_sampled_points_come_too_close(robot)
         for i, o in enumerate(geometry.geometryObjects)
         if o.name.startswith(("hex", "deck"))
     ]
-    config = CollisionConfig()
+    table = ClearanceTable(same_leg=(0.02, 0.03), body=0.04, other_leg=0.06)
+    config = CollisionConfig(table=table)
     collision = LegCollision(spec, ground(lambda x, y: 0 * x - 9.0), standing(robot), joints, 0, config)
     hull = cylinder_points(spec.wheel.radius, spec.wheel.width)[:, [0, 2, 1]]
     rng = np.random.default_rng(3)
@@ -187,10 +188,10 @@ def test_a_wheel_hits_the_chassis_where_its_sampled_points_come_too_close(robot)
         at = kin.leg_wheel(0, q).apply(hull)
         gap = min(float(box_distance(placed.inverse().apply(at), half).min()) for placed, half in boxes)
         hit = collision.first_collision(q)
-        if gap < config.body_clearance - TOLERANCE:
+        if gap < table.body - TOLERANCE:
             assert hit is not None
             seen["hit"] += 1
-        elif gap > config.body_clearance + 3 * TOLERANCE:
+        elif gap > table.body + 3 * TOLERANCE:
             assert hit is None or not ("wheel1" in hit and ("hex" in hit or "deck" in hit))
             seen["free"] += 1
     assert min(seen.values()) > 5
@@ -239,19 +240,54 @@ def test_wheel_sink_is_the_depth_of_the_lowest_point(robot):
     assert flank.wheel_sink(joints[1]) == pytest.approx(0.15, abs=1e-3)
 
 
+HABITAT, GENERATORS = (2.2, 1.6, 1.5), {"sdm_b": (1.2, 1.0, 0.5), "t12": (1.6, 1.2, 0.9)}
+
+
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_a_payload_is_in_the_way(robot):
+@pytest.mark.parametrize("where", ["payload_above", "payload_below"])
+def test_a_payload_is_in_the_way_and_is_named(robot, where):
     spec, joints = load_spec(robot), regular_stance(load_spec(robot))
-    config = CollisionConfig(payload_size=(2.2, 1.6, 1.5))
+    box = HABITAT if where == "payload_above" else GENERATORS[robot]
     bare = LegCollision(spec, ground(), standing(robot), joints, 0, CollisionConfig())
-    loaded = LegCollision(spec, ground(), standing(robot), joints, 0, config)
+    loaded = LegCollision(spec, ground(), standing(robot), joints, 0, CollisionConfig(**{where: box}))
     rng = np.random.default_rng(2)
     only = [
         hit
         for q in rng.uniform(spec.lower, spec.upper, (600, spec.dof))
         if bare.is_free(q) and (hit := loaded.first_collision(q)) is not None
     ]
-    assert only and all("payload" in hit for hit in only)
+    assert only and all(where in hit for hit in only)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_generators_below_refuse_a_leg_move_that_is_free_without_them(robot):
+    """Leg 1 folds inward below the chassis."""
+    spec, joints, deep = load_spec(robot), regular_stance(load_spec(robot)), ground(lambda x, y: 0 * x - 9.0)
+    folded = np.deg2rad({"sdm_b": [0.0, 80.0, 100.0, 0.0, 20.0, 0.0], "t12": [0.0, 90.0, 80.0, 30.0, 0.0, 0.0, 0.0]}[robot])
+    move = joints[0] + np.linspace(0.0, 1.0, 60)[:, None] * (folded - joints[0])
+    above = CollisionConfig(payload_above=HABITAT)
+    both = CollisionConfig(payload_above=HABITAT, payload_below=GENERATORS[robot])
+    without, with_them = (LegCollision(spec, deep, standing(robot), joints, 0, config) for config in (above, both))
+    assert all(without.is_free(q) for q in move)
+    hits = [with_them.first_collision(q) for q in move]
+    first = next(hit for hit in hits if hit is not None)
+    assert hits[0] is None and first == "wheel1 against payload_below"
+    assert with_them.refusal(move[-1]) == "own_leg_or_body"
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_body_comes_down_on_a_rock_that_only_the_generators_reach(robot):
+    spec = load_spec(robot)
+    bottom = {"sdm_b": -0.217, "t12": 0.284}[robot] - GENERATORS[robot][2]
+    rock = ground(lambda x, y: np.where(np.hypot(x, y) < 0.3, spec.chassis_height + bottom - 0.1, 0.0))
+    loaded = CollisionConfig(payload_below=GENERATORS[robot])
+    for lower, expected in ((0.0, None), (0.15, "payload_below against terrain")):
+        pose = SE3.from_translation(np.array([0.0, 0.0, spec.chassis_height - lower]))
+        wheels = stance_wheels_in_hex(spec) + [0.0, 0.0, lower]
+        bent, ok = all_legs_ik(spec, wheels)
+        assert ok.all()
+        assert BodyCollision(spec, rock, CollisionConfig()).first_collision(bent, pose) is None
+        assert BodyCollision(spec, rock, loaded).first_collision(bent, pose) == expected
 
 
 def test_wrong_use_is_refused():
@@ -262,5 +298,11 @@ def test_wrong_use_is_refused():
         LegCollision(spec, unknown, standing("sdm_b"), joints, 0, CollisionConfig())
     with pytest.raises(PlanningError, match=r"need \(6, 6\) and 0 to 5"):
         LegCollision(spec, ground(), standing("sdm_b"), joints, 6, CollisionConfig())
-    with pytest.raises(PlanningError, match="not negative"):
+    with pytest.raises(PlanningError, match=r"terrain_clearance is -0\.1, must be finite and not negative"):
         CollisionConfig(terrain_clearance=-0.1)
+    with pytest.raises(PlanningError, match=r"payload_below is .*three positive lengths"):
+        CollisionConfig(payload_below=(1.0, 0.0, 0.4))
+    with pytest.raises(PlanningError, match="table of clearances needs finite lengths"):
+        ClearanceTable(same_leg=(), body=0.04, other_leg=0.06)
+    with pytest.raises(PlanningError, match="payload_below reaches into leg1_hip_yaw in the drawings' stance of sdm_b"):
+        LegCollision(spec, ground(), standing("sdm_b"), joints, 0, CollisionConfig(payload_below=(2.6, 1.0, 0.5)))

@@ -8,6 +8,7 @@ from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.reach import leg_ik
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance, stance_wheels_in_hex
@@ -114,6 +115,11 @@ def test_over_a_wall_the_leg_is_raised(robot):
     assert isinstance(path, SwingPath), path
     assert path.stats.method == "raised"
     assert_holds(path, step)
+    # What is driven: the corners cut, looked at as finely as the planner looks.
+    assert path.corner_tolerance > 0.0
+    driven = leg_timing(step.spec, path.waypoints, corner_tolerance=path.corner_tolerance)
+    places = np.linspace(0.0, driven.path.length, 2 + int(driven.path.length / 0.002))
+    assert all(step.collision.is_free(q) for q in driven.path.at(places))
     highest = max(step.kin.leg_wheel(LEG, q).translation[2] for q in path.waypoints) - step.middle[2]
     assert highest > 0.6 - step.spec.wheel.radius
 
@@ -195,5 +201,7 @@ def test_an_endless_wall_uses_up_the_budget():
 def test_impossible_settings_are_refused():
     with pytest.raises(PlanningError, match="must be positive"):
         SwingConfig(vertical_step=0.0)
+    with pytest.raises(PlanningError, match=r"corner_tolerance 0\.2 rad is outside 0 to 0\.1"):
+        SwingConfig(corner_tolerance=0.2)
     with pytest.raises(PlanningError, match="must not be negative"):
         replace(SwingConfig(), extra_heights=())

@@ -23,7 +23,7 @@ ASIDE = [0.0, 20.0, -20.0, 40.0, -40.0, 60.0, -60.0]
 @pytest.fixture(params=["straight", "map"])
 def agent(request) -> GroundAgent:
     spec = load_spec("sdm_b")
-    content = read_toml(named_toml("variants", "blind")) | {"route": request.param}
+    content = read_toml(named_toml("variants", "blind")) | {"route": request.param, "settings": {"aside": {"between_steps": 0}}}
     ground = GroundAgent(spec, planner_config(content, spec, name="x"), goal_in_world=np.array([30.0, 0.0]), seed=0)
     for message in MockAthlete(spec).advance(1.0):
         ground.observe(message, 1.0)

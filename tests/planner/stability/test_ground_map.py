@@ -22,7 +22,7 @@ from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.model.statics import wheel_loads
 from planner.footfall import FootfallConfig, score_footfalls
-from planner.motion.collision import CollisionConfig
+from planner.motion.collision import ClearanceTable, CollisionConfig
 from planner.stability.ground_map import (
     COLLISION,
     GROUND,
@@ -183,11 +183,14 @@ def test_on_a_tilted_chassis_no_green_cells_last_link_leans_more_than_is_allowed
     assert not (kept.ok & ~open_to_all.ok).any()
 
 
+BY_HAND = CollisionConfig(table=ClearanceTable(same_leg=(0.02, 0.03), body=0.04, other_leg=0.06))
+
+
 class Solids:
     """The solids of the drawn robot from its URDF, and how far those of one leg are from what they must not touch, by coal."""
 
     def __init__(self, stand, leg):
-        self.stand, self.leg, self.spec, self.config = stand, leg, stand.spec, CollisionConfig()
+        self.stand, self.leg, self.spec, self.config = stand, leg, stand.spec, BY_HAND
         urdf = str(robot_dir(self.spec.name) / "robot.urdf")
         self.model = pin.buildModelFromUrdf(urdf)
         self.geometry = pin.buildGeomFromUrdf(self.model, urdf, pin.COLLISION)
@@ -225,13 +228,13 @@ class Solids:
     def _clearance(self, i, j):
         (a, first), (b, second) = self.part[i], self.part[j]
         if b < 0:
-            return None if first == 0 else self.config.body_clearance
+            return None if first == 0 else self.config.table.body
         if a == b:
             links = [*(joint.offset for joint in self.spec.joints[1:]), np.zeros(3)]
             pivots = sum(bool(np.any(offset)) for offset in links[min(first, second) : max(first, second)])
-            table = self.config.same_leg_clearance
+            table = self.config.table.same_leg
             return None if pivots < 2 else table[min(pivots, len(table) + 1) - 2]
-        return self.config.neighbour_clearance if abs(a - b) in (1, 5) else None
+        return self.config.table.other_leg
 
     def _distances(self, joints, pairs):
         q = pin.neutral(self.model)
@@ -267,7 +270,7 @@ class Solids:
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
 def test_collisions_are_where_coal_s_distances_are_too_small(robot):
     stand = Stand(robot, rock_height=1.2)  # as high as a leg's links, so that they meet ground as well as robot
-    found, solids = stand.map(0), Solids(stand, 0)
+    found, solids = stand.map(0, collision=BY_HAND), Solids(stand, 0)
     reached = np.argwhere(np.isfinite(found.joints[..., 0]) & ~np.isin(found.reason, (UNREACHABLE, LAST_LINK)))
     seen = {"hit": 0, "free": 0, "close": 0}
     for ix, iy in reached[::3]:

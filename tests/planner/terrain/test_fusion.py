@@ -218,7 +218,28 @@ def test_layout_is_centred_on_whole_cells(x, y, cell):
     assert inside.tolist() == [True, False] and index[1] == -1
 
 
+def test_vague_cells_are_raised_by_what_their_sigma_exceeds_the_height_covered():
+    terrain = TerrainMap(SMALL, config=FusionConfig())
+    points, sigma = cloud(np.random.default_rng(13), lambda x, y: np.where(x > 0.2, 0.5, 0.0))
+    keep = np.hypot(points[:, 0], points[:, 1]) > 0.3
+    terrain.fuse_points(points[keep], sigma[keep])
+    fused = terrain.fused().filled("highest")
+    raised = fused.raised(3.0, over=0.05)
+    clearance = 0.07
+    known = ~fused.unknown
+    # A clearance from the raised ground is the larger of that clearance and a base of 2 cm with 3 sigma.
+    wanted = fused.grid.heights + np.maximum(clearance, 0.02 + 3.0 * fused.sigma)
+    np.testing.assert_allclose((raised.grid.heights + clearance)[known], wanted[known], atol=1e-12)
+    np.testing.assert_array_equal(raised.grid.heights[~known], fused.grid.heights[~known])
+    edge = np.abs(SMALL.grid(fused.grid.heights).centres()[0] - 0.2) < SMALL.cell
+    lift = raised.grid.heights - fused.grid.heights
+    assert lift[edge][known[edge]].max() > 0.02 and np.median(lift[known]) == 0.0
+    np.testing.assert_array_equal(fused.raised(0.0, over=0.05).grid.heights, fused.grid.heights)
+
+
 def test_misuse_is_refused():
+    with pytest.raises(ConfigError, match="must not be negative"):
+        TerrainMap(SMALL, config=FusionConfig()).fused().raised(-1.0, over=0.05)
     with pytest.raises(ConfigError, match="outliers 'some'"):
         FusionConfig(outliers="some")
     with pytest.raises(ConfigError, match=r"fill 'zero'.*nearest"):
