@@ -51,7 +51,7 @@ class FlatUplink(gym.Wrapper[Flat, np.ndarray, Observation, Action]):
     | 6 dof, 6 dof | `joints`, `motors`: -1 at the lower limit, 1 at the upper |
     | 6 dof | `torques` over twice their limits |
     | 3, 3, 3 | `attitude_rpy` over pi, `rates` [rad/s], `acceleration` over 20 m/s2, in `hex` |
-    | 5, 6, 11 | one of `envs.spaces.STATES`, `RECEIPTS`, `FAULTS`: 1 where it applies |
+    | 5, 7, 11 | one of `envs.spaces.STATES`, `RECEIPTS`, `FAULTS`: 1 where it applies |
     | n, n | with cameras: whether a picture has come, and its age as above |
 
     With cameras the observation is a Dict of this `vector` and of `pictures`: all left, then all right slots as channels,
