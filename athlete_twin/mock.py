@@ -8,7 +8,8 @@ flat, textured ground without robot or rocks.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -157,9 +158,8 @@ class MockAthlete(Commanded):
         before = self.executive.setpoint
         events = self.executive.tick(sensed)
         if self.executive.rolling:
-            turn = SE3.from_rpy(0.0, 0.0, float(self._place_xy_yaw[2]))
             velocities = rolling_velocities(self.kin, self.executive.setpoint, self.executive.wheel_rates)
-            self._anchors = self._anchors + CONTROL_PERIOD * turn.rotate(velocities)[:, :2]
+            self._anchors = self._anchors + CONTROL_PERIOD * (velocities @ _yawed(self._place_xy_yaw[2]).T)[:, :2]
         if self.executive.rolling or self.executive.setpoint is not before:
             self._settle()
         if self.t - self._last_track >= TRACK_PERIOD:
@@ -185,14 +185,14 @@ class MockAthlete(Commanded):
             stiffness=self.spec.believed_foot_stiffness,
             weight=self.spec.mass * GRAVITY,
         )
-        level_from_hex = SE3.from_rpy(self._height_tilt[1], self._height_tilt[2], 0.0)
-        plan = level_from_hex.apply(wheels)[:, :2]
+        height, roll, pitch = self._height_tilt
+        level_from_hex = _rolled_pitched(roll, pitch)
+        plan = (wheels @ level_from_hex.T)[:, :2]
         planted = (self._loads > 0.0) & np.array([p == "stance" for p in self.executive.phases])
         if planted.sum() >= 2:
             self._place_xy_yaw = fit_plan(plan, self._anchors, planted)
         x, y, yaw = self._place_xy_yaw
-        turn = SE3.from_rpy(0.0, 0.0, yaw, np.array([x, y, self._height_tilt[0]]))
-        self._world_from_hex = turn.compose(level_from_hex)
+        self._world_from_hex = SE3(_yawed(yaw) @ level_from_hex, np.array([x, y, height]))
         here = self._world_from_hex.apply(wheels)[:, :2]
         self._anchors = np.where(planted[:, None], self._anchors, here)
 
@@ -265,33 +265,62 @@ def balance(
 ) -> tuple[np.ndarray, PerLeg]:
     """Height, roll and pitch of the chassis on six vertical springs, shape (3,), and the load on each wheel (6,) [N].
 
-    Newton's method for small tilts; a wheel above the ground carries nothing.
+    Newton's method for small tilts; a wheel above the ground carries nothing. In plain numbers: it is most of what a tick
+    of the mock costs, and arrays of six cost ten times as much.
     """
-    state = np.asarray(start, dtype=float).copy()
-    loads = np.zeros(LEGS)
+    height, roll, pitch = (float(v) for v in start)
+    places, (cx, cy, cz) = wheels_in_hex.tolist(), com_in_hex.tolist()
+    loads = [0.0] * LEGS
     for _ in range(30):
-        rotation = _rolled_pitched(state[1], state[2])
-        wheels, com = wheels_in_hex @ rotation.T, rotation @ com_in_hex
-        sink = radius - (state[0] + wheels[:, 2])
-        loads = stiffness * np.maximum(sink, 0.0)
-        arm = wheels[:, :2] - com[:2]
-        residual = np.array([loads.sum() - weight, loads @ arm[:, 1], -(loads @ arm[:, 0])])
-        # How fast each wheel sinks with height, roll and pitch; the weakly held rest keeps a hovering chassis solvable.
-        sinking = np.column_stack([-np.ones(LEGS), -wheels[:, 1], wheels[:, 0]])
-        rows = np.column_stack([np.ones(LEGS), arm[:, 1], -arm[:, 0]])
-        spring = np.where(sink > 0.0, stiffness, 1e-3 * stiffness)
-        change = np.linalg.solve((rows * spring[:, None]).T @ sinking, -residual)
-        change *= min(1.0, 0.05 / max(float(np.abs(change).max()), 1e-12))
-        state += change
-        if np.abs(change).max() < SETTLED:
+        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
+        com_x, com_y = cp * cx + sp * (sr * cy + cr * cz), cr * cy - sr * cz
+        lift, about_x, about_y = -weight, 0.0, 0.0
+        # How the three residuals change as the wheels sink with height, roll and pitch, by columns.
+        m = [0.0] * 9
+        for leg, (x, y, z) in enumerate(places):
+            turned = sr * y + cr * z
+            wx, wy, wz = cp * x + sp * turned, cr * y - sr * z, cp * turned - sp * x
+            sink = radius - height - wz
+            load = stiffness * sink if sink > 0.0 else 0.0
+            loads[leg] = load
+            arm_x, arm_y = wx - com_x, wy - com_y
+            lift, about_x, about_y = lift + load, about_x + load * arm_y, about_y - load * arm_x
+            # The weakly held rest keeps a hovering chassis solvable.
+            spring = stiffness if sink > 0.0 else 1e-3 * stiffness
+            for row, lever in enumerate((spring, spring * arm_y, -spring * arm_x)):
+                m[row] -= lever
+                m[3 + row] -= lever * wy
+                m[6 + row] += lever * wx
+        change = _solved(m, (-lift, -about_x, -about_y))
+        largest = max(abs(c) for c in change)
+        scale = min(1.0, 0.05 / max(largest, 1e-12))
+        height, roll, pitch = height + scale * change[0], roll + scale * change[1], pitch + scale * change[2]
+        if scale * largest < SETTLED:
             break
-    return state, loads
+    return np.array([height, roll, pitch]), np.array(loads)
+
+
+def _solved(columns: list[float], right: tuple[float, float, float]) -> tuple[float, float, float]:
+    """The solution of A x = right by Cramer's rule; A (3, 3) is given by its columns, one behind the other."""
+    a, b, c = columns[0:3], columns[3:6], columns[6:9]
+
+    def determinant(u: Sequence[float], v: Sequence[float], w: Sequence[float]) -> float:
+        return u[0] * (v[1] * w[2] - v[2] * w[1]) - u[1] * (v[0] * w[2] - v[2] * w[0]) + u[2] * (v[0] * w[1] - v[1] * w[0])
+
+    whole = determinant(a, b, c)
+    return determinant(right, b, c) / whole, determinant(a, right, c) / whole, determinant(a, b, right) / whole
 
 
 def _rolled_pitched(roll: float, pitch: float) -> np.ndarray:
-    """Rotation matrix of `SE3.from_rpy(roll, pitch, 0)`, without SciPy's overhead in the innermost loop."""
-    cr, sr, cp, sp = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch)
+    """Rotation matrix of `SE3.from_rpy(roll, pitch, 0)`, without SciPy's overhead at every tick."""
+    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
     return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
+
+
+def _yawed(yaw: float) -> np.ndarray:
+    """Rotation matrix of `SE3.from_rpy(0, 0, yaw)`."""
+    c, s = math.cos(yaw), math.sin(yaw)
+    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def fit_plan(points: np.ndarray, places: np.ndarray, used: PerLegFlag) -> Vec3:
