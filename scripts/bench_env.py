@@ -146,7 +146,9 @@ def _shares(robot: str, env: gym.Env, actions: list[dict[str, Any]]) -> list[Row
         return timed
 
     link = "messages to and from bytes, links"
-    parts = [(mission.robot, "advance", "robot moves"), (base, "_judged", "reward, end, info"), (base, "_observation", "observation")]
+    parts: list[tuple[Any, str, str]] = [
+        (mission.robot, "advance", "robot moves"), (base, "_judged", "reward, end, info"), (base, "_observation", "observation"),
+    ]  # fmt: skip
     parts += [(way, name, link) for way in (mission.up, mission.down) for name in ("send", "receive_raw")]
     parts += [(mission.robot, "receive_raw", link), (envs.mission, "decode", link)]
     with ExitStack() as stack:
