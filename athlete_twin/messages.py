@@ -50,8 +50,18 @@ REFUSALS = ("damaged", "misaddressed", "stale", "repeated", "queue_full")
 EXECUTIVE_STATES = ("idle", "executing", "stopped", "fault")
 
 
-@dataclass(frozen=True, kw_only=True)
-class JointMove:
+class _ComparedByContent:
+    """Equal are two of one class with equal fields; dataclasses' own comparison asks an array for its truth value."""
+
+    def __eq__(self, other: object) -> bool:
+        return type(other) is type(self) and all(_same(v, vars(other)[name]) for name, v in vars(self).items())
+
+    def __hash__(self) -> int:
+        return hash((type(self), *(v for v in vars(self).values() if isinstance(v, str | int | float))))
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class JointMove(_ComparedByContent):
     """Move one leg through way-points in joint space from rest to rest, each joint in step with the others."""
 
     kind: ClassVar[str] = "joint_move"
@@ -75,8 +85,8 @@ class JointMove:
         object.__setattr__(self, "waypoints", w)
 
 
-@dataclass(frozen=True, kw_only=True)
-class LegMove:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class LegMove(_ComparedByContent):
     """Move one wheel along a straight line in the hex frame, the last link keeping its direction."""
 
     kind: ClassVar[str] = "leg_move"
@@ -104,8 +114,8 @@ class LegMove:
         object.__setattr__(self, "wheel_in_hex", target)
 
 
-@dataclass(frozen=True, kw_only=True)
-class BodyMove:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class BodyMove(_ComparedByContent):
     """Move the chassis with all wheels planted, in a straight line and about one axis."""
 
     kind: ClassVar[str] = "body_move"
@@ -126,8 +136,8 @@ class BodyMove:
         _check_fraction("speed_scale", self.speed_scale)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Drive:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Drive(_ComparedByContent):
     """Roll on all six wheels in a straight line: steer, roll, steer back. The chassis keeps its posture and heading."""
 
     kind: ClassVar[str] = "drive"
@@ -145,8 +155,8 @@ class Drive:
         object.__setattr__(self, "translation_in_hex", way)
 
 
-@dataclass(frozen=True, kw_only=True)
-class ImageRequest:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ImageRequest(_ComparedByContent):
     """Take stereo pairs of each named camera, all at the same time: one, or one for each exposure of a bracket."""
 
     kind: ClassVar[str] = "image_request"
@@ -174,8 +184,8 @@ class ImageRequest:
         object.__setattr__(self, "brackets", brackets)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Wait:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Wait(_ComparedByContent):
     """Do nothing for `duration` [s]."""
 
     kind: ClassVar[str] = "wait"
@@ -189,8 +199,8 @@ class Wait:
 Command = JointMove | LegMove | BodyMove | Drive | ImageRequest | Wait
 
 
-@dataclass(frozen=True, kw_only=True)
-class Message:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Message(_ComparedByContent):
     """What every message carries."""
 
     topic: ClassVar[str] = ""
@@ -213,7 +223,7 @@ class Message:
         return zlib.crc32(_body(self))
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class CommandSequence(Message):
     """Commands to run one after the other. One sequence runs at a time; later ones wait for it in a queue of eight."""
 
@@ -243,7 +253,7 @@ class CommandSequence(Message):
             raise CommandError(f"max_swing_force {self.max_swing_force} N must be positive and finite, or None")
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Stop(Message):
     """Stop all motion at once and forget the queue."""
 
@@ -251,7 +261,7 @@ class Stop(Message):
     reason: str = ""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Telemetry(Message):
     """What the robot measures of itself. No position, no contact flag, no wheel force: the ground infers them."""
 
@@ -276,7 +286,7 @@ class Telemetry(Message):
     """of the command in execution, or the number of commands done"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class StereoPair(Message):
     """Two rectified images of one stereo camera, and the robot's state when they were taken."""
 
@@ -300,7 +310,7 @@ class StereoPair(Message):
         return int(2**self.bits - 1)
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Receipt(Message):
     """What became of a command."""
 
@@ -315,7 +325,7 @@ class Receipt(Message):
     """of a refusal, one of `REFUSALS`; a repeated command's receipt says nothing of the one that was taken"""
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Fault(Message):
     """Why the executive stopped a sequence, or what it noticed outside one."""
 
@@ -423,6 +433,14 @@ def _from_plain(value: Any, blobs: list[bytes]) -> Any:
     if "tuple" in value:
         return tuple(value["tuple"])
     return value
+
+
+def _same(one: Any, other: Any) -> bool:
+    if isinstance(one, np.ndarray):
+        return isinstance(other, np.ndarray) and one.dtype == other.dtype and np.array_equal(one, other)
+    if isinstance(one, tuple):
+        return isinstance(other, tuple) and len(one) == len(other) and all(map(_same, one, other))
+    return bool(one == other)
 
 
 def _near(values: np.ndarray) -> bool:

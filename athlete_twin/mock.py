@@ -147,6 +147,11 @@ class MockAthlete(Commanded):
             peak_torque_fraction=self.peak_torque_fraction,
         )
 
+    def link_poses(self) -> dict[str, SE3]:
+        """`world_from_link` of every link."""
+        placed = self.kin.link_poses(self.executive.setpoint)
+        return {link: self._world_from_hex.compose(hex_from_link) for link, hex_from_link in placed.items()}
+
     # --- internals ------------------------------------------------------------------------------------------------
 
     def _control_tick(self) -> list[Message]:

@@ -178,6 +178,9 @@ class SimulatedRobot(Robot, Protocol):
     def truth(self) -> TruthView:
         """What is really so now."""
 
+    def link_poses(self) -> dict[str, SE3]:
+        """True `world_from_link` of every link."""
+
     def save(self) -> Moment:
         """This moment, to come back to; `PhysicsError` where it cannot be saved."""
 

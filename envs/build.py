@@ -18,6 +18,7 @@ from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import RobotSpec
 from athlete_twin.robot import SimulatedRobot
 from athlete_twin.world.scenario import Scenario
+from athlete_twin.world.terrain import Terrain, bare_terrain
 from planner.decisions import GroundAgent, StageTimer, untimed
 
 FLAT_CELL = 0.1
@@ -43,6 +44,17 @@ def mock(spec: RobotSpec, scenario: Scenario) -> tuple[SimulatedRobot, HeightGri
         origin_x=scenario.x_min, origin_y=-0.5 * scenario.size[1], cell=FLAT_CELL, heights=np.zeros((nx, ny))
     )
     return MockAthlete(spec), grid
+
+
+def drawn_ground(robot: SimulatedRobot, scenario: Scenario, grid: HeightGrid) -> Terrain:
+    """What an onlooker sees a robot stand on: the twin's ground, or the mock's, which has a surface and no rocks."""
+    if isinstance(robot, MockAthlete):
+        return bare_terrain(scenario, grid)
+    from athlete_twin.athlete import Athlete
+
+    if not isinstance(robot, Athlete):
+        raise ConfigError(f"{type(robot).__name__} has no ground to draw; a twin or a mock has")
+    return robot.terrain
 
 
 def ground_agent(

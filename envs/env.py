@@ -9,21 +9,21 @@ from __future__ import annotations
 import copy
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 import gymnasium as gym
 import numpy as np
 
 from athlete_twin.errors import ConfigError, PhysicsError
-from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
 from athlete_twin.messages import CommandSequence, Stop
 from athlete_twin.model.spec import RobotSpec, load_spec
 from athlete_twin.moment import Moment, taken
 from athlete_twin.robot import SimulatedRobot, TruthView
 from athlete_twin.world.scenario import Scenario, load_scenario
+from envs import window
 from envs.action_fields import Action, one_of
-from envs.build import check_unbroken, mock, twin
+from envs.build import check_unbroken, drawn_ground, mock, twin
 from envs.episode import EpisodeState
 from envs.mission import Mission
 from envs.rewards import RewardConfig, StepTruth, reward_terms
@@ -37,8 +37,10 @@ from envs.spaces import (
     downlink_space,
     uplink_action_space,
 )
-from envs.top_view import top_view
 from planner.decisions import GroundAgent
+
+if TYPE_CHECKING:
+    from envs.outside_view import OutsideView
 
 DEFAULT_DELAY = 5.0
 """one way, when no link is given [s]"""
@@ -70,7 +72,7 @@ class Score:
 class MissionEnv(gym.Env[Observation, Action], ABC):
     """What both kinds of environment share: building, the clock, reward, end and the picture from above."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["human", "rgb_array"], "render_fps": 1}
 
     def __init__(
         self,
@@ -93,6 +95,12 @@ class MissionEnv(gym.Env[Observation, Action], ABC):
             raise ConfigError(
                 f"render_mode {render_mode!r} is not one of: {', '.join(self.metadata['render_modes'])}, None"
             )
+        no_window = window.problem()
+        if render_mode == "human" and no_window:
+            raise ConfigError(f"render_mode 'human' opens no window here, {no_window}")
+        # What this machine can show, and how many pictures of a step each make a second of the mission.
+        shown = ["rgb_array"] if no_window else ["human", "rgb_array"]
+        self.metadata = {"render_modes": shown, "render_fps": max(1, round(1.0 / step_s))}  # type: ignore[misc]
         self.drawings: RobotSpec = load_spec(robot)
         self.scenario = load_scenario(scenario) if isinstance(scenario, str) else scenario
         if body == "mock":
@@ -107,8 +115,9 @@ class MissionEnv(gym.Env[Observation, Action], ABC):
         self._rewards = rewards
         self._robot: SimulatedRobot | None = None
         self._mission: Mission | None = None
-        self._grid: HeightGrid | None = None
         self._score = Score()
+        self._outside: OutsideView | None = None
+        self._window: window.Window | None = None
         self._seed, self._inputs = 0, list[Any]()
 
     @property
@@ -119,10 +128,19 @@ class MissionEnv(gym.Env[Observation, Action], ABC):
         return self._mission
 
     def render(self) -> np.ndarray | None:  # type: ignore[override]
-        """The true scene from above, shape (h, w, 3), or None without a render mode."""
-        if self.render_mode is None or self._robot is None or self._grid is None:
+        """The true scene from outside, red, green, blue, shape (360, 640, 3); None without a render mode, or where a window shows it."""
+        if self.render_mode is None:
             return None
-        return top_view(self._robot, self._grid, self.goal)
+        robot = self.mission.robot
+        if self._outside is None:
+            raise ConfigError("the environment is closed; reset() opens it again")
+        picture = self._outside.picture(robot)
+        if self.render_mode == "rgb_array":
+            return picture
+        if self._window is None:
+            self._window = window.Window(f"ATHLETE {self.drawings.name}")
+        self._window.show(picture)
+        return None
 
     def save_state(self) -> EpisodeState:
         """This moment of the episode: what follows `restore_state` of it equals what follows now, to the last bit.
@@ -158,26 +176,39 @@ class MissionEnv(gym.Env[Observation, Action], ABC):
         return self._observation(), self._info()
 
     def close(self) -> None:
-        """Free the simulation."""
-        if self._robot is not None:
-            self._robot.close()
-            self._robot = None
+        """Free the simulation, and close the window."""
+        self._free()
+        if self._window is not None:
+            self._window.close()
+            self._window = None
 
     def _reset(self, seed: int | None) -> None:
         """A fresh episode; its seed is drawn where none is given."""
         super().reset(seed=seed)
         self._begin(int(self.np_random.integers(2**31)) if seed is None else seed)
+        self._show()
+
+    def _free(self) -> None:
+        if self._robot is not None:
+            self._robot.close()
+        self._robot = self._outside = None
+
+    def _show(self) -> None:
+        """What Gymnasium asks of the mode "human": reset and step draw by themselves."""
+        if self.render_mode == "human":
+            self.render()
 
     def _begin(self, seed: int) -> None:
         """A fresh robot on fresh ground.
 
         Everything is built anew: Bullet repeats itself bit by bit only then.
         """
-        self.close()
-        if self._body == "mock":
-            self._robot, self._grid = mock(self.drawings, self.scenario)
-        else:
-            self._robot, self._grid = twin(self.drawings, self.scenario, seed)
+        self._free()
+        self._robot, grid = mock(self.drawings, self.scenario) if self._body == "mock" else twin(self.drawings, self.scenario, seed)
+        if self.render_mode is not None:
+            from envs.outside_view import OutsideView  # the renderer takes a second to load
+
+            self._outside = OutsideView(drawn_ground(self._robot, self.scenario, grid), self.drawings)
         up, down = self.link
         self._mission = Mission(
             self._robot,
@@ -341,7 +372,7 @@ class UplinkEnv(MissionEnv):
             cameras: shown in observations and usable in actions; all by default, none of an empty tuple.
             step_s: longest step, mission time [s].
             time_limit: mission time after which an episode is truncated [s]; the scenario's by default.
-            render_mode: "rgb_array" for a view from above.
+            render_mode: "rgb_array" for pictures from outside, "human" for a window that shows them.
             rewards: weights.
         """
         super().__init__(
@@ -395,6 +426,7 @@ class UplinkEnv(MissionEnv):
         for down in arrived:
             self._view.take(down)
         value, terminated, truncated, info = self._judged(begun)
+        self._show()
         return self._observation(), value, terminated, truncated, info | {"messages": arrived}
 
     def _begin(self, seed: int) -> None:

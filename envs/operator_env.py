@@ -98,7 +98,7 @@ class OperatorEnv(MissionEnv):
             cameras: that the operator may choose; all by default.
             step_s: longest step, mission time [s].
             time_limit: mission time after which an episode is truncated [s]; the scenario's by default.
-            render_mode: "rgb_array" for a view from above.
+            render_mode: "rgb_array" for pictures from outside, "human" for a window that shows them.
             rewards: weights.
             make_agent: makes another ground than this project's, from drawings, goal and seed.
         """
@@ -146,6 +146,7 @@ class OperatorEnv(MissionEnv):
             mission.stop("operator")
         mission.advance(begun + self.step_s)
         value, terminated, truncated, info = self._judged(begun)
+        self._show()
         ended = mission.finished or mission.stopped
         return self._observation(), value, terminated or ended, truncated, info
 

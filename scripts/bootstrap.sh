@@ -58,14 +58,11 @@ make_venv() {
 pip_install() { "$venv/bin/python" -m pip install -qq --disable-pip-version-check -c constraints.txt "$@"; }
 
 pip_install_learning() {
-    # torch's default wheel for Linux brings 3 GB of CUDA. Only its CPU build is taken, 0.2 GB: from where pip looks anyway,
-    # or else from PyTorch's own index. Without --no-deps everything else would be looked for there as well.
+    # torch's default wheel for Linux brings 3 GB of CUDA. Only its CPU build is taken there, 0.2 GB, where pip knows one.
     local torch
     torch="torch==$(sed -n 's/^torch==//p' constraints.txt)"
     [[ "$(uname -s)" == Linux ]] && torch+="+cpu"
-    pip_install "$torch" -e '.[rl]' 2>/dev/null && return
-    pip_install --no-deps --retries 1 --timeout 20 --index-url https://download.pytorch.org/whl/cpu "$torch" 2>/dev/null \
-        && pip_install -e '.[rl]' 2>/dev/null
+    pip_install "$torch" -e '.[rl]' 2>/dev/null
 }
 
 libraries_load() {

@@ -13,10 +13,13 @@ from pathlib import Path
 
 import numpy as np
 import tyro
-from onlooker import Posture, looking, stand_point, swinging_stance
 from trial_recording import terrain_of
 
 from athlete_twin.errors import AthleteError, ConfigError
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.kinematics import Kinematics
+from athlete_twin.sensors.onlooker import Posture, looking, stand_point
+from athlete_twin.world.terrain import Terrain
 
 MOST_BYTES = 400_000
 """of the file; colours are rounded until it fits"""
@@ -60,7 +63,6 @@ def draw(options: Options) -> int:
     """Writes the picture; its size [byte]."""
     from athlete_twin.model.appearance import visual_parts
     from athlete_twin.model.camera import Pinhole
-    from athlete_twin.model.kinematics import Kinematics
     from athlete_twin.model.spec import load_spec
     from athlete_twin.sensors.renderer import Renderer
 
@@ -86,6 +88,31 @@ def draw(options: Options) -> int:
             break
     options.out.write_bytes(data)
     return len(data)
+
+
+def swinging_stance(kin: Kinematics, terrain: Terrain, *, leg: int, sag: float) -> tuple[SE3, np.ndarray]:
+    """Chassis and joints of a robot that stands on the terrain at the start and swings one leg ahead.
+
+    Args:
+        kin: of the robot.
+        terrain: the true ground.
+        leg: index of the leg in the air.
+        sag: of the chassis below its height as drawn [m].
+    """
+    from athlete_twin.model.reach import all_legs_ik
+    from athlete_twin.model.stance import stance_wheels_in_hex
+
+    spec = kin.spec
+    wheels = stance_wheels_in_hex(spec)
+    heights = terrain.grid.sample(wheels[:, :2])
+    datum = float(heights.mean())
+    wheels[:, 2] += heights - datum + sag
+    wheels[leg] += [0.22 * spec.foot_radius, 0.0, 0.9 * spec.wheel.radius * 2]
+    joints, ok = all_legs_ik(spec, wheels)
+    if not ok.all():
+        # A raised leg may be out of reach for a tall robot: it stands, then.
+        joints[leg] = all_legs_ik(spec, stance_wheels_in_hex(spec))[0][leg]
+    return SE3.from_translation(np.array([0.0, 0.0, spec.chassis_height + datum - sag])), joints
 
 
 def _palette_png(rgb: np.ndarray, colours: int) -> bytes:

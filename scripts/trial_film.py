@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 import tyro
 from film_captions import PANEL, Captions, State
-from onlooker import FIELD_OF_VIEW, Canvas, Posture, looking, stand_point
 from trial_recording import TrialRecording, load_recording
 
 from athlete_twin.errors import AthleteError, RecordingError
 from athlete_twin.model.camera import Pinhole
-from athlete_twin.world.soil import ROCK, soil_material
-from athlete_twin.world.terrain import Terrain
+from athlete_twin.sensors.onlooker import FIELD_OF_VIEW, Canvas, Posture, looking, stand_point
+from athlete_twin.world.terrain import Terrain, bare_terrain
 
 SIZE = (960, 540)
 FRAME_RATE = 12.0
@@ -85,7 +84,7 @@ def write_film(out_dir: Path, *, speed: float = SPEED, most_frames: int = MOST_F
 
 def frames(trial: TrialRecording, shots: list[Shot]) -> Iterator[np.ndarray]:
     """The film's frames: blue, green, red, 8 bit."""
-    terrain = trial.terrain() or bare_terrain(trial)
+    terrain = trial.terrain() or bare_ground(trial)
     posture = Posture(trial.spec)
     track = trial.track
     path = track.places * [1.0, 1.0, LOOK_AT]
@@ -131,26 +130,11 @@ def storyboard(trial: TrialRecording, *, speed: float = SPEED, most_frames: int 
     return shots
 
 
-def bare_terrain(trial: TrialRecording) -> Terrain:
+def bare_ground(trial: TrialRecording) -> Terrain:
     """The recorded surface with plain looks: the trial ran where no scenario's ground lies, as the mock does."""
     from athlete_twin.world.scenario import load_scenario
 
-    surface = trial.surface
-    soil = soil_material("packed_soil")
-    none = np.full(surface.shape, -1, dtype=np.int32)
-    return Terrain(
-        scenario=load_scenario("calibration_yard"),
-        seed=0,
-        grid=surface,
-        ground=surface,
-        rocks=(),
-        rock_index=none,
-        friction=soil.friction,
-        soil=soil,
-        rock_material=ROCK,
-        albedo=np.full(surface.shape, soil.albedo),
-        goal=np.zeros(2),
-    )
+    return bare_terrain(load_scenario("calibration_yard"), trial.surface)
 
 
 def _writer(path: Path) -> Any:

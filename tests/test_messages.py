@@ -1,4 +1,4 @@
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -90,6 +90,15 @@ def test_decoding_gives_back_every_bit(message):
     raw = encode(message)
     assert same(decode(raw), message)
     assert encode(decode(raw)) == raw
+
+
+@SETTINGS
+@given(messages, messages)
+def test_messages_are_equal_by_content(message, other):
+    again = decode(encode(message))
+    assert again == message and hash(again) == hash(message)
+    assert (message == other) is (type(message) is type(other) and encode(message) == encode(other))
+    assert message != replace(message, seq=message.seq + 1) and message != "message"
 
 
 @SETTINGS

@@ -126,6 +126,24 @@ def build_terrain(scenario: Scenario, seed: int, *, clear_xy: np.ndarray, clear_
     )
 
 
+def bare_terrain(scenario: Scenario, grid: HeightGrid) -> Terrain:
+    """A surface with plain looks under the scenario's sun, without rocks: what is drawn where a robot ran without a ground."""
+    soil = soil_material("packed_soil")
+    return Terrain(
+        scenario=scenario,
+        seed=0,
+        grid=grid,
+        ground=grid,
+        rocks=(),
+        rock_index=np.full(grid.shape, -1, dtype=np.int32),
+        friction=soil.friction,
+        soil=soil,
+        rock_material=ROCK,
+        albedo=np.full(grid.shape, soil.albedo),
+        goal=np.array([scenario.goal_distance, 0.0]),
+    )
+
+
 def _lay_rocks(
     ground: np.ndarray, x: np.ndarray, y: np.ndarray, rocks: tuple[Rock, ...], seed: int
 ) -> tuple[np.ndarray, np.ndarray]:

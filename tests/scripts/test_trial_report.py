@@ -17,6 +17,7 @@ from athlete_twin.model.camera import Pinhole
 from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
+from athlete_twin.sensors import onlooker
 from athlete_twin.sensors.renderer import Renderer
 from envs.trial import Trial, TrialSetup
 from planner.decisions import RejectSome
@@ -35,9 +36,7 @@ def imported(*names):
         sys.path.remove(str(ROOT / "scripts"))
 
 
-trial_report, trial_film, trial_recording, onlooker, report_sag = imported(
-    "trial_report", "trial_film", "trial_recording", "onlooker", "report_sag"
-)
+trial_report, trial_film, trial_recording, report_sag = imported("trial_report", "trial_film", "trial_recording", "report_sag")
 
 
 def scripted_ground():
@@ -147,7 +146,7 @@ def test_film_has_the_frames_of_its_storyboard(folder, recording):
 
 
 def test_what_is_drawn_in_parts_is_what_is_drawn_at_once(recording):
-    terrain = trial_film.bare_terrain(recording)
+    terrain = trial_film.bare_ground(recording)
     spec = recording.spec
     target = np.array([0.0, 0.0, 0.8])
     camera = onlooker.looking(onlooker.stand_point(terrain, spec, target), target)

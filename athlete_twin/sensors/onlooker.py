@@ -124,7 +124,9 @@ class Canvas:
     the ground and where its shadow falls; only what shows the robot itself is shaded anew.
     """
 
-    def __init__(self, terrain: Terrain, spec: RobotSpec, world_from_camera: SE3, eye: Pinhole) -> None:
+    def __init__(
+        self, terrain: Terrain, spec: RobotSpec, world_from_camera: SE3, eye: Pinhole, *, painter: Painter | None = None
+    ) -> None:
         """Draws the ground.
 
         Args:
@@ -132,9 +134,10 @@ class Canvas:
             spec: of the robot that will be drawn on it.
             world_from_camera: pose of the onlooker.
             eye: his whole picture plane.
+            painter: of this robot on this ground, from a canvas before; a new one by default.
         """
         parts = visual_parts(spec)
-        self._painter = Painter(terrain, parts)
+        self.painter = Painter(terrain, parts) if painter is None else painter
         self._sun = terrain.scenario.sun_in_world()
         self._world_from_camera, self._eye = world_from_camera, eye
         self._floor = terrain.grid
@@ -144,15 +147,15 @@ class Canvas:
             ends = np.array([points.min(axis=0), points.max(axis=0)])
             self._corners[link] = np.array([[ends[i, 0], ends[j, 1], ends[k, 2]] for i, j, k in np.ndindex(2, 2, 2)])
         self._drawn: dict[str, np.ndarray] = {}
-        self._sunny = self._painter.render_view(world_from_camera, eye, {}).astype(np.float32)
-        self._painter.dark = True
-        self._shady = self._painter.render_view(world_from_camera, eye, {}, supersampling=1).astype(np.float32)
-        self._painter.dark = False
+        self._sunny = self.painter.render_view(world_from_camera, eye, {}).astype(np.float32)
+        self.painter.dark = True
+        self._shady = self.painter.render_view(world_from_camera, eye, {}, supersampling=1).astype(np.float32)
+        self.painter.dark = False
         self._rays = eye.rays().astype(np.float32)
         self._outward = np.empty((*self._rays.shape[:2], 6), dtype=np.float32)
         self._outward[..., :3] = world_from_camera.translation
         self._outward[..., 3:] = rays_in_world(world_from_camera, self._rays.reshape(-1, 3)).reshape(self._rays.shape)
-        ground = self._painter.surface(world_from_camera, self._rays.reshape(-1, 3), eye.focal_px)
+        ground = self.painter.surface(world_from_camera, self._rays.reshape(-1, 3), eye.focal_px)
         shape = (eye.height_px, eye.width_px)
         self._faces_sun = ((ground.toward > 0.0) & (ground.label > 0)).reshape(shape)
         self._shadow_rays = np.empty((*shape, 6), dtype=np.float32)
@@ -178,7 +181,7 @@ class Canvas:
 
     def _draw(self, part: tuple[slice, slice], link_poses: Mapping[str, SE3]) -> None:
         """Draw a rectangle of the picture plane anew."""
-        robot = self._painter.place(link_poses)
+        robot = self.painter.place(link_poses)
         rays = self._rays[part]
         shape = rays.shape[:2]
         covered = _hits(robot, self._outward[part].reshape(-1, 6)).reshape(shape)
@@ -195,7 +198,7 @@ class Canvas:
         inside = covered & ~rim
         # One call for both: each casts its rays at the whole terrain anew.
         rays_of_robot = np.concatenate([rays[inside], fine])
-        colours = self._painter.colours(self._world_from_camera, rays_of_robot, focal, robot)
+        colours = self.painter.colours(self._world_from_camera, rays_of_robot, focal, robot)
         count = int(inside.sum())
         picture[inside] = colours[:count]
         picture[rim] = colours[count:].reshape(-1, len(FINER), 3).mean(axis=1)
@@ -220,31 +223,6 @@ def _hits(robot: PlacedRobot, rays: np.ndarray) -> np.ndarray:
         return np.zeros(0, dtype=bool)
     tensor = open3d().core.Tensor(np.ascontiguousarray(rays))
     return np.asarray(robot.scene.test_occlusions(tensor).numpy())
-
-
-def swinging_stance(kin: Kinematics, terrain: Terrain, *, leg: int, sag: float) -> tuple[SE3, np.ndarray]:
-    """Chassis and joints of a robot that stands on the terrain at the start and swings one leg ahead.
-
-    Args:
-        kin: of the robot.
-        terrain: the true ground.
-        leg: index of the leg in the air.
-        sag: of the chassis below its height as drawn [m].
-    """
-    from athlete_twin.model.reach import all_legs_ik
-    from athlete_twin.model.stance import stance_wheels_in_hex
-
-    spec = kin.spec
-    wheels = stance_wheels_in_hex(spec)
-    heights = terrain.grid.sample(wheels[:, :2])
-    datum = float(heights.mean())
-    wheels[:, 2] += heights - datum + sag
-    wheels[leg] += [0.22 * spec.foot_radius, 0.0, 0.9 * spec.wheel.radius * 2]
-    joints, ok = all_legs_ik(spec, wheels)
-    if not ok.all():
-        # A raised leg may be out of reach for a tall robot: it stands, then.
-        joints[leg] = all_legs_ik(spec, stance_wheels_in_hex(spec))[0][leg]
-    return SE3.from_translation(np.array([0.0, 0.0, spec.chassis_height + datum - sag])), joints
 
 
 def _side(link: str, parent_of: Mapping[str, str]) -> str:
