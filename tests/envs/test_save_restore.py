@@ -157,9 +157,10 @@ def test_spoilt_observations_spoil_nothing():
     assert Player(Spoiler(made())).play(STEPS) == Player(made()).play(STEPS)
 
 
+@pytest.mark.parametrize("steps", [30, pytest.param(LONG, marks=pytest.mark.slow)])
 @pytest.mark.parametrize("kind", [SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=[pytest.mark.slow, pytest.mark.ci])])
-def test_vector_environments_show_what_single_ones_show(kind):
-    steps, seeds = 30, [SEED, SEED + 1]
+def test_vector_environments_show_what_single_ones_show(kind, steps):
+    seeds = [SEED, SEED + 1]
     vector = kind([made, made])
     singles = [Player(made(), seed=seed) for seed in seeds]
     seen, _ = vector.reset(seed=seeds)
@@ -173,6 +174,24 @@ def test_vector_environments_show_what_single_ones_show(kind):
             assert all(np.array_equal(seen[k][i], observation[k]) for k in observation)
             assert rewards[i] == reward and infos["truth"]["goal_distance_m"][i] == info["truth"]["goal_distance_m"]
     vector.close()
+
+
+@pytest.mark.parametrize("name", [MOCK, "AthleteTwin/T12-Mock-v0"])
+@pytest.mark.parametrize("steps", [150, pytest.param(LONG, marks=pytest.mark.slow)])
+def test_any_step_of_an_episode_can_be_gone_back_to(name, steps):
+    """Every now and then back to the step just left, some steps on: in the end the hash is that of going straight on."""
+    rng = np.random.default_rng(steps)
+    env, gone = made(name), 0
+    player = Player(env)
+    while gone < steps:
+        ahead = int(min(rng.integers(1, 1 + steps // 20), steps - gone))
+        state, mark = env.unwrapped.save_state(), player.mark()
+        player.play(int(rng.integers(1, 20)))
+        env.unwrapped.restore_state(state)
+        player.back_to(mark)
+        player.play(ahead)
+        gone += ahead
+    assert player.hash.hexdigest() == Player(made(name)).play(steps)
 
 
 def test_restored_environment_draws_the_same_next_episode():
