@@ -165,7 +165,8 @@ class MockAthlete(Commanded):
         if self.executive.rolling:
             velocities = rolling_velocities(self.kin, self.executive.setpoint, self.executive.wheel_rates)
             self._anchors = self._anchors + CONTROL_PERIOD * (velocities @ _yawed(self._place_xy_yaw[2]).T)[:, :2]
-        if self.executive.rolling or self.executive.setpoint is not before:
+        # By content: the set-points of a restored motion are equal ones, not the same.
+        if self.executive.rolling or not np.array_equal(self.executive.setpoint, before):
             self._settle()
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()

@@ -202,3 +202,21 @@ def test_a_bracket_of_the_mock_is_a_pair_for_each_exposure():
     ]  # fmt: skip
     assert pairs[0].left.dtype == np.uint16
     assert pairs[1].left == pytest.approx(0.25 * pairs[0].left.astype(float), abs=0.6)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_going_back_at_every_tick_changes_no_bit(name):
+    def driven(back):
+        robot = MockAthlete(load_spec(name))
+        lift = LegMove(leg=3, wheel_in_hex=stance_wheels_in_hex(robot.spec)[3] + [0.0, 0.0, 0.3], guard="break_contact")
+        shift = BodyMove(translation_in_hex=np.array([0.05, 0.02, 0.0]), rotvec_in_hex=np.array([0.02, 0.01, 0.0]))
+        drive = Drive(translation_in_hex=np.array([0.1, 0.05]), speed=robot.spec.drive_speed)
+        robot.receive(sequence(robot, shift, lift, drive))
+        while robot.busy:
+            if back:
+                robot.restore(robot.save())
+            robot.advance(robot.t + 0.05)
+        truth = robot.truth()
+        return [a.tobytes() for a in (truth.joints, truth.wheel_loads, truth.wheels_in_world, truth.torques)]
+
+    assert driven(back=True) == driven(back=False)
