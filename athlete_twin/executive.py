@@ -82,6 +82,8 @@ class Executive:
     command_index: int = 0
     newest_seq: int = -1
     """highest `seq` of the sequences taken so far"""
+    stopped_t: float = -np.inf
+    """when the latest stop was made, mission time of its sender [s]"""
     phases: list[str] = field(default_factory=lambda: ["stance"] * LEGS)
     """per leg "stance", "lift_off", "swing" or "descent", as the executive itself sees it"""
     wheel_rates: PerLeg = field(default_factory=lambda: np.zeros(LEGS))
@@ -114,6 +116,9 @@ class Executive:
         if message.seq <= self.newest_seq:
             cause = "repeated" if message.seq == self.newest_seq else "stale"
             return [self.refuse(cause, f"seq {message.seq} comes after {self.newest_seq}; each sequence counts on", message)]
+        if message.t < self.stopped_t:
+            text = f"the sequence was made at {message.t:.3f} s, before the stop of {self.stopped_t:.3f} s that overtook it"
+            return [self.refuse("stale", text, message)]
         if len(self._queue) >= QUEUE_LIMIT:
             return [self.refuse("queue_full", f"queue is full with {QUEUE_LIMIT} sequences", message)]
         self.newest_seq = message.seq
@@ -189,8 +194,9 @@ class Executive:
                 events.append(Event(kind="capture", sequence_id=sequence_id, command_index=run.index, request=command))
         else:
             if run.move is None:
-                run.move = self._begin(command)
-                self.setpoint = next(run.move, self.setpoint)
+                move = self._begin(command)
+                self.setpoint = next(move, self.setpoint)
+                run.move = move
                 return []
             try:
                 self.setpoint = run.move.send(sensed)
@@ -316,6 +322,7 @@ class Executive:
                 0, self._receipt(self._running.sequence.sequence_id, self._running.index, "cancelled", message.reason)
             )
         self._queue.clear()
+        self.stopped_t = max(self.stopped_t, message.t)
         self._running, self.state = None, "stopped"
         self.wheel_rates[:] = 0.0
         return events

@@ -40,6 +40,8 @@ FARTHEST = 1e3
 GUARDS = ("none", "break_contact", "contact")
 CORNER_TOLERANCE, MOST_CORNER_TOLERANCE = 0.01, 0.1
 """by which a joint move cuts its corners unless it says otherwise, and at most [rad]"""
+LEAST_SPEED_SCALE = 1e-3
+"""slower motions take hours; of full speed"""
 BITS = (8, 12)
 """of a grey value"""
 MAX_BRACKETS = 5
@@ -79,7 +81,7 @@ class JointMove(_ComparedByContent):
         w = np.asarray(self.waypoints, dtype=float)
         if w.ndim != 2 or len(w) < 1 or not np.isfinite(w).all():
             raise CommandError(f"way-points have shape {w.shape}, need finite (k, dof) with k >= 1")
-        _check_fraction("speed_scale", self.speed_scale)
+        _check_speed_scale(self.speed_scale)
         if not 0.0 <= self.corner_tolerance <= MOST_CORNER_TOLERANCE:
             raise CommandError(f"corner_tolerance {self.corner_tolerance} rad is outside 0 to {MOST_CORNER_TOLERANCE}")
         object.__setattr__(self, "waypoints", w)
@@ -110,7 +112,7 @@ class LegMove(_ComparedByContent):
             raise CommandError(f"guard {self.guard!r} is not one of {', '.join(GUARDS)}")
         if self.guard == "contact" and not (np.isfinite(self.contact_load) and self.contact_load > 0.0):
             raise CommandError(f"guard 'contact' needs a positive contact_load, got {self.contact_load} N")
-        _check_fraction("speed_scale", self.speed_scale)
+        _check_speed_scale(self.speed_scale)
         object.__setattr__(self, "wheel_in_hex", target)
 
 
@@ -133,7 +135,7 @@ class BodyMove(_ComparedByContent):
             if value.shape != shape or not _near(value):
                 raise CommandError(f"{name} must be finite, within {FARTHEST:g}, with shape {shape}, got {value.tolist()}")
             object.__setattr__(self, name, value)
-        _check_fraction("speed_scale", self.speed_scale)
+        _check_speed_scale(self.speed_scale)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -457,6 +459,6 @@ def _check_count(name: str, value: int, *, least: int) -> None:
         raise MessageError(f"{name} is {value!r}, must be a whole number from {least} on")
 
 
-def _check_fraction(name: str, value: float) -> None:
-    if not (np.isfinite(value) and 0.0 < value <= 1.0):
-        raise CommandError(f"{name} is {value}, must be in (0, 1]")
+def _check_speed_scale(value: float) -> None:
+    if not (np.isfinite(value) and LEAST_SPEED_SCALE <= value <= 1.0):
+        raise CommandError(f"speed_scale is {value}, must be in [{LEAST_SPEED_SCALE}, 1]")

@@ -20,6 +20,7 @@ from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, Stop
 from athlete_twin.robot import SimulatedRobot, TruthView
 from envs.recorder import Recorder
 from planner.decisions import Arrived, Decision, GroundAgent, NoStep, Proposal, Uplink
+from planner.underway import SILENCE
 
 SAMPLE_PERIOD = 0.5
 """of the truth while the robot executes [s]"""
@@ -97,23 +98,31 @@ class Mission:
         self._coming: Proposal | None = None
         self._answer: Decision | None = None
         self._open_cycles = 0
+        self._stop: Stop | None = None
+        """sent, and not known to have arrived"""
+        self._stop_again_at = math.inf
 
     # --- what the outside does ------------------------------------------------------------------------------------
 
     def send(self, message: CommandSequence | Stop) -> None:
         """Put a message on the uplink now."""
+        self.counts.e_stops += isinstance(message, Stop)
+        self._transmit(message)
+
+    def _transmit(self, message: CommandSequence | Stop) -> None:
         raw = self.up.send(message, self.t)
         self.counts.uplinks += 1
         self._open_cycles += 1
-        if isinstance(message, Stop):
-            self.counts.e_stops += 1
         if self.recorder:
             self.recorder.link(message, raw, self.t)
 
     def stop(self, reason: str) -> None:
-        """Send a stop; the ground does nothing any more."""
+        """Send a stop, again and again until telemetry says that the robot has stopped; the ground does nothing any more."""
         self.stopped = True
-        self.send(Stop(seq=self.counts.e_stops, robot_id=self.robot.robot_id, t=self.t, reason=reason))
+        self.standing = self._coming = self._answer = None
+        self._stop = Stop(seq=self.counts.e_stops, robot_id=self.robot.robot_id, t=self.t, reason=reason)
+        self._stop_again_at = self.t + SILENCE
+        self.send(self._stop)
 
     def answer(self, decision: Decision, *, seconds: float = 0.0) -> None:
         """The operator's answer to the standing proposal, which took so many seconds of mission time."""
@@ -138,6 +147,7 @@ class Mission:
         while True:
             seen += self._arrivals()
             self._ground()
+            self._insist()
             if self.t >= until or self.finished or self.wants_answer:
                 return seen
             if stop_at_downlink and seen:
@@ -190,6 +200,8 @@ class Mission:
     def _count(self, message: Message) -> None:
         if isinstance(message, Fault):
             self.last_fault = message
+        if isinstance(message, Telemetry) and self._stop and message.executive_state == "stopped" and message.t >= self._stop.t:
+            self._stop, self._stop_again_at = None, math.inf
         ends = isinstance(message, Telemetry) and message.executive_state != "executing"
         if ends and self._open_cycles:
             self.counts.command_cycles += self._open_cycles
@@ -228,6 +240,12 @@ class Mission:
                 self._ask(agent)
             else:
                 return
+
+    def _insist(self) -> None:
+        """A link may lose a stop too; to stop twice does no harm."""
+        if self._stop is not None and self.t >= self._stop_again_at:
+            self._stop_again_at = self.t + SILENCE
+            self._transmit(self._stop)
 
     def _decided(self, agent: GroundAgent, proposal: Proposal, decision: Decision) -> None:
         sequence = agent.decide(decision, self.t)
@@ -273,7 +291,7 @@ class Mission:
     def _pass_time(self, until: float) -> None:
         """To the next event, whatever it is, and into the bin that applies meanwhile."""
         busy = self.robot.busy
-        events = [until, self.up.next_arrival(), self.down.next_arrival()]
+        events = [until, self.up.next_arrival(), self.down.next_arrival(), self._stop_again_at]
         if busy:
             events.append(self.t + SAMPLE_PERIOD)
         if self.agent is not None:

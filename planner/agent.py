@@ -48,7 +48,7 @@ from planner.route.guide import Guide, Way, refusals
 from planner.sequence import as_sequence, lower_commands, step_commands, straighten_commands
 from planner.terrain.ground_level import SIGMA as LEVEL_SIGMA
 from planner.terrain.spikes import without_spikes
-from planner.underway import Inbox, Underway
+from planner.underway import SILENCE, Inbox, Underway
 
 SECONDS_PER_PLAN = 2.0
 """charged for planning one step [s]"""
@@ -104,6 +104,8 @@ class GroundAgent:
         self._walks = not config.driving
         """until the next step is done: the operator refused to drive"""
         self._attempt: StepPlan | None = None
+        self._asked_at = 0.0
+        """when the robot was asked for its state last, mission time [s]"""
         self._ground_s = 0.0
         self._sequence_id = 0
         self._proposals = 0
@@ -158,6 +160,10 @@ class GroundAgent:
         if self._stopped:
             return NoStep(reason=self._stopped)
         if self._belief is None or self._telemetry is None:
+            # The robot tells once by itself, and a link may lose that; it answers whatever it is sent, if nothing is in it.
+            if t - self._asked_at > SILENCE:
+                self._asked_at = t
+                return Uplink(sequence=self._as_sequence([], t))
             return Waiting(reason="first telemetry")
         if self._sent is not None:
             sent = self._sent

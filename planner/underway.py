@@ -46,7 +46,8 @@ class Underway:
         self._last_word = t
         before = self._completed
         if isinstance(message, StereoPair):
-            self.pairs.append(message)
+            if message.state.sequence_id == self.sequence.sequence_id:
+                self.pairs.append(message)
         elif isinstance(message, Fault) and message.sequence_id == self.sequence.sequence_id:
             self.heard, self.fault = True, message
             self._completed = max(before, message.command_index)

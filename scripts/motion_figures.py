@@ -133,7 +133,7 @@ def run(problem: LegProblem, method: str, *, number: int, seed: int, relief: Rel
 def _swing_time(spec: RobotSpec, path: np.ndarray, tolerance: float) -> SwingTime:
     start = time.perf_counter()
     motion = leg_timing(spec, path, corner_tolerance=tolerance)
-    samples = motion.samples(PERIOD)
+    samples = np.array(list(motion.samples(PERIOD)))
     seconds = time.perf_counter() - start
     plain = constant_speed(path, spec.speed_unloaded, PERIOD)
     toppra, toppra_seconds = toppra_figures(motion, spec)

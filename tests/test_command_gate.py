@@ -9,6 +9,7 @@ import pytest
 
 from athlete_twin.executive import CONTROL_PERIOD, Executive
 from athlete_twin.messages import (
+    LEAST_SPEED_SCALE,
     REFUSALS,
     BodyMove,
     CommandSequence,
@@ -60,6 +61,27 @@ def test_repeated_and_stale_sequences_are_refused_and_change_nothing():
     assert statuses(e.accept(sequence(Wait(duration=1.0), number=9))) == [(9, "queued", "")]
 
 
+def test_a_sequence_that_a_stop_overtook_on_the_way_is_refused():
+    e = executive()
+    e.accept(Stop(seq=0, robot_id="sdm_b", t=11.0))
+    made_before = CommandSequence(seq=0, robot_id="sdm_b", t=10.0, sequence_id=0, commands=(Wait(duration=1.0),))
+    (event,) = e.accept(made_before)
+    assert (event.status, event.cause) == ("refused", "stale") and "11.000 s" in event.text and not e.busy
+    made_after = CommandSequence(seq=1, robot_id="sdm_b", t=11.0, sequence_id=1, commands=(Wait(duration=1.0),))
+    assert statuses(e.accept(made_after)) == [(1, "queued", "")]
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_slowest_joint_move_begins_at_once_and_moves(robot):
+    e = executive(robot)
+    ways = e.setpoint[:1] + 0.5
+    e.accept(sequence(JointMove(leg=0, waypoints=ways, speed_scale=LEAST_SPEED_SCALE), number=0, robot=robot))
+    before = e.setpoint[0].copy()
+    for _ in range(50):
+        tick(e)
+    assert e.state == "executing" and (e.setpoint[0] > before).all() and (e.setpoint[0] < ways[0]).all()
+
+
 @pytest.mark.parametrize("message", [sequence(Wait(duration=1.0), number=0), Stop(seq=0, robot_id="sdm_b", t=0.0)])
 def test_what_is_for_the_other_robot_is_refused(message):
     e = executive("t12")
@@ -100,7 +122,10 @@ def some_commands(rng, spec):
     scale = float(rng.choice([0.01, 0.1, 0.3, 1.0, 30.0, 150.0], p=[0.2, 0.4, 0.2, 0.1, 0.05, 0.05]))
     leg = int(rng.integers(LEGS))
     made = [
-        lambda: JointMove(leg=leg, waypoints=stance[leg] + scale * rng.normal(size=(int(rng.integers(1, 4)), spec.dof))),
+        lambda: JointMove(
+            leg=leg, waypoints=stance[leg] + scale * rng.normal(size=(int(rng.integers(1, 4)), spec.dof)),
+            speed_scale=float(10.0 ** rng.uniform(np.log10(LEAST_SPEED_SCALE), 0.0)),
+        ),
         lambda: LegMove(
             leg=leg, wheel_in_hex=wheels[leg] + scale * rng.normal(size=3), guard=str(rng.choice(["none", "break_contact", "contact"])),
             contact_load=500.0, speed_scale=float(rng.uniform(0.1, 1.0)),

@@ -140,6 +140,7 @@ def test_log_content_carries_the_header(message):
         (lambda: JointMove(leg=0, waypoints=np.zeros((0, 6))), r"way-points have shape \(0, 6\)"),
         (lambda: JointMove(leg=0, waypoints=np.full((1, 6), np.nan)), "need finite"),
         (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), speed_scale=0.0), "speed_scale is 0.0"),
+        (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), speed_scale=1e-9), "speed_scale is 1e-09"),
         (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), corner_tolerance=0.2), "corner_tolerance 0.2 rad is outside 0 to 0.1"),
         (lambda: JointMove(leg=0, waypoints=np.zeros((1, 6)), corner_tolerance=float("nan")), "is outside 0 to 0.1"),
         (lambda: LegMove(leg=0, wheel_in_hex=np.full(3, np.inf)), "must be a finite point"),

@@ -14,6 +14,7 @@ what it found, which on cells of microradians asks for more acceleration than th
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import no_type_check
 
@@ -60,17 +61,16 @@ class TimedPath:
         """Samples `period` [s] apart that the motion takes; one where there is nothing to move."""
         return max(1, int(np.ceil(self.duration / period * (1.0 - 1e-12))))
 
-    def samples(self, period: float) -> Float[np.ndarray, "n dof"]:
+    def samples(self, period: float) -> Iterator[Float[np.ndarray, " dof"]]:
         """Configurations each `period` [s] after the start, the last one the path's end [rad].
 
-        The motion is slowed down to fill the last period, by less than one period in all.
+        The motion is slowed down to fill the last period, by less than one period in all. One at a time: a slow motion has
+        as many as its hours have ticks.
         """
         n = self.ticks(period)
-        if len(self.grid) < 2:
-            return self.path.end[None].copy()
-        out = self.at(np.arange(1, n + 1) * (self.duration / n))
-        out[-1] = self.path.end
-        return out
+        for i in range(1, n):
+            yield self.at(np.array([i * (self.duration / n)]))[0]
+        yield self.path.end.copy()
 
 
 def time_optimal(path: BlendedPath, *, speed: float, acceleration: float) -> TimedPath:

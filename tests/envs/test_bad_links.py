@@ -55,3 +55,20 @@ def test_a_walk_over_a_bad_link_does_each_step_once(kind):
     assert np.linalg.norm(at - GOAL) < 0.3
 
 
+
+
+@pytest.mark.parametrize("robot_id", ["sdm_b", "t12"])
+def test_a_robot_whose_first_word_is_lost_is_asked(robot_id):
+    spec = load_spec(robot_id)
+    robot, link = MockAthlete(spec), LinkConfig(delay=5.0, bandwidth=2e6)
+    agent = ground_agent(spec, "blind", goal=GOAL, seed=0)
+    down = DelayedLink(link, np.random.default_rng(4))
+    mission = Mission(robot, up=DelayedLink(link, np.random.default_rng(3)), down=down, agent=agent)
+    mission.advance(3.0)
+    assert len(down.receive_raw(1e9)) == 1  # taken off the link: lost
+    while not mission.wants_answer and mission.t < 200.0:
+        mission.advance(mission.t + 1.0)
+    assert mission.wants_answer and mission.counts.uplinks == 1
+    mission.answer(Decision(kind="approve"))
+    mission.advance(mission.t + 30.0)
+    assert robot.executive.newest_seq == 1 and mission.counts.faults == 0

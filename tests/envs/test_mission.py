@@ -2,9 +2,10 @@ import numpy as np
 import pytest
 
 from athlete_twin.errors import ConfigError
-from athlete_twin.messages import Receipt, StereoPair, Telemetry
+from athlete_twin.messages import Receipt, StereoPair, Stop, Telemetry
 from athlete_twin.model.kinematics import GRAVITY
 from planner.decisions import Decision
+from planner.underway import SILENCE
 
 BINS = ("motion", "ground", "operator", "link")
 
@@ -84,6 +85,30 @@ def test_stop_goes_up_as_a_stop(scripted, make_mission):
     m.advance(m.t + 3.0)
     assert m.counts.e_stops == 1
     assert m.robot.executive.state == "stopped"
+
+
+def test_a_stop_that_the_link_loses_goes_up_again_until_the_robot_has_stopped(scripted, make_mission):
+    m = make_mission(scripted(), delay=1.0)
+    while not m.wants_answer:
+        m.advance(m.t + 1.0)
+    send, lost = m.up.send, []
+
+    def lossy(message, t):
+        if isinstance(message, Stop) and len(lost) < 2:
+            lost.append(t)
+            return b""
+        return send(message, t)
+
+    m.up.send = lossy
+    m.stop("the operator")
+    m.advance(m.t + 1.5 * SILENCE)
+    assert len(lost) == 2 and m.robot.executive.state != "stopped"
+    m.advance(m.t + SILENCE)
+    assert m.robot.executive.state == "stopped"
+    assert lost[1] - lost[0] == pytest.approx(SILENCE)
+    uplinks = m.counts.uplinks
+    m.advance(m.t + 3.0 * SILENCE)
+    assert (m.counts.uplinks, m.counts.e_stops) == (uplinks, 1)
 
 
 def test_answer_without_a_proposal_is_refused(make_mission):

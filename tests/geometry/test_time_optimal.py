@@ -37,7 +37,7 @@ def constant_speed(nodes: np.ndarray, speed: float) -> float:
 
 def followed(motion: TimedPath, start: np.ndarray) -> np.ndarray:
     """What the executive commands, standing still before and after."""
-    out = motion.samples(PERIOD)
+    out = np.array(list(motion.samples(PERIOD)))
     return np.concatenate([[start, start], out, out[-1:]])
 
 
@@ -121,7 +121,7 @@ def test_half_the_speed_at_a_quarter_of_the_acceleration_is_the_same_motion_slow
 def test_where_there_is_nowhere_to_go_one_sample_says_so(nodes):
     motion = timed(nodes)
     assert motion.duration == 0.0 and motion.ticks(PERIOD) == 1
-    np.testing.assert_array_equal(motion.samples(PERIOD), [nodes[-1]])
+    np.testing.assert_array_equal(list(motion.samples(PERIOD)), [nodes[-1]])
 
 
 def toppra_duration(motion: TimedPath) -> float:
@@ -177,7 +177,7 @@ def test_the_same_path_gives_the_same_bytes_in_another_process():
         "from athlete_twin.geometry.time_optimal import time_optimal\n"
         "nodes = 0.3 * np.random.default_rng(5).standard_normal((6, 6))\n"
         "motion = time_optimal(blended(nodes, 0.01), speed=0.1, acceleration=0.2)\n"
-        "sys.stdout.write(motion.samples(1.0 / 24.0).tobytes().hex())\n"
+        "sys.stdout.write(np.array(list(motion.samples(1.0 / 24.0))).tobytes().hex())\n"
     )
     runs = [
         subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True, env=dict(os.environ)).stdout

@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from athlete_twin.messages import CommandSequence, Fault, LegMove, Receipt, Telemetry, Wait
+from athlete_twin.messages import CommandSequence, Fault, LegMove, Receipt, StereoPair, Telemetry, Wait
 from planner.underway import SILENCE, Inbox, Underway
 
 COMMANDS = (Wait(duration=1.0), LegMove(leg=3, wheel_in_hex=np.zeros(3)), Wait(duration=1.0))
@@ -91,3 +91,15 @@ def test_each_message_counts_once_and_old_telemetry_not_at_all():
     assert inbox.admits(receipt("queued", seq=3)) and not inbox.admits(receipt("queued", seq=3))
     assert inbox.admits(receipt("completed", 0, seq=2))
     assert inbox.admits(telemetry("idle", 0, seq=7)) and not inbox.admits(telemetry("idle", 0, seq=6))
+
+
+def test_pictures_of_another_sequence_do_not_count():
+    u = underway()
+    grey = np.zeros((9, 12), dtype=np.uint8)
+    for number in (4, 5):
+        pair = StereoPair(
+            seq=number, robot_id="sdm_b", t=12.0, camera="eye", exposure=1.0, binning=4, left=grey, right=grey,
+            state=telemetry("executing", 1, number=number),
+        )  # fmt: skip
+        u.take(pair, 20.0)
+    assert [pair.seq for pair in u.pairs] == [5]
