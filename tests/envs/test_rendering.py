@@ -17,7 +17,7 @@ from athlete_twin.model.spec import load_spec
 from athlete_twin.sensors.onlooker import Posture
 from envs import window
 from envs.operator_env import OperatorEnv
-from envs.outside_view import SIZE
+from envs.outside_view import LOOK_AT, MARGIN, SIZE
 from envs.spaces import KINDS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,16 +40,20 @@ def driven(env, metres, *, seconds=60):
 
 
 @pytest.mark.parametrize("name", [*MOCKS, *(pytest.param(i, marks=(pytest.mark.slow, pytest.mark.ci)) for i in TWINS)])
-def test_picture_shows_a_bright_robot_and_its_shadow_on_the_ground(name):
-    env = made(name)
+def test_picture_shows_the_robot_where_it_truly_is(name):
+    env = made(name, scenario={"AthleteTwin/SdmB-v0": "rock_field", "AthleteTwin/T12-v0": "black_point"}.get(name, "calibration_yard"))
     env.reset(seed=0)
     picture = env.render()
     assert picture.shape == (SIZE[1], SIZE[0], 3) and picture.dtype == np.uint8
-    grey = picture.mean(axis=2)
-    middle, corner = grey[90:270, 160:480], grey[:60, :60]
-    assert corner.std() < 25.0
-    # White links are brighter than any of the ground, tyres and shadow darker.
-    assert np.mean(middle > corner.max() + 10.0) > 0.02 and np.mean(middle < corner.min() - 30.0) > 0.05
+    # Where the drawn wheels and the chassis are there is something else than bare ground, and far from them nothing else.
+    view, truth = env.unwrapped._outside, env.unwrapped.mission.robot.truth()
+    u, v = view._left_top(truth.world_from_hex.translation - [0.0, 0.0, (1.0 - LOOK_AT) * view._spec.chassis_height])
+    bare = np.rint(view._canvas._sunny[v : v + SIZE[1], u : u + SIZE[0], ::-1])
+    covered = np.abs(picture - bare).max(axis=2) > 20.0
+    pixels, _ = view._frame.project(view._camera_from_world.apply(truth.wheels_in_world))
+    shifted = np.rint(pixels + MARGIN - [u, v]).astype(int)
+    assert all(covered[y - 4 : y + 5, x - 4 : x + 5].mean() > 0.5 for x, y in shifted)
+    assert 0.1 < covered.mean() < 0.4 and not covered[:60, :60].any() and not covered[:60, -60:].any()
     assert picture[..., 0].mean() > picture[..., 2].mean() + 10.0, "red and blue are swapped: the ground is sand"
     env.close()
 

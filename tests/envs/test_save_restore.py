@@ -157,8 +157,14 @@ def test_spoilt_observations_spoil_nothing():
     assert Player(Spoiler(made())).play(STEPS) == Player(made()).play(STEPS)
 
 
-@pytest.mark.parametrize("steps", [30, pytest.param(LONG, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("kind", [SyncVectorEnv, pytest.param(AsyncVectorEnv, marks=[pytest.mark.slow, pytest.mark.ci])])
+@pytest.mark.parametrize(
+    ("kind", "steps"),
+    [
+        (SyncVectorEnv, 30),
+        pytest.param(AsyncVectorEnv, 30, marks=[pytest.mark.slow, pytest.mark.ci]),
+        *(pytest.param(kind, LONG, marks=pytest.mark.slow) for kind in (SyncVectorEnv, AsyncVectorEnv)),
+    ],
+)
 def test_vector_environments_show_what_single_ones_show(kind, steps):
     seeds = [SEED, SEED + 1]
     vector = kind([made, made])
