@@ -115,6 +115,8 @@ def test_one_contact_episode_counts_once(robot):
     assert len([c for c in athlete.collisions if c.part == "hex"]) == 1
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_wheel_driven_into_a_rock_is_seen_and_driving_over_a_pebble_is_none(robot):
     axle = load_spec("sdm_b").foot_radius
     for height, strikes in ((0.30, {"wheel1"}), (0.03, set())):

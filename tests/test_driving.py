@@ -11,6 +11,8 @@ from athlete_twin.world.scenario import load_scenario
 
 
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_twin_drives_a_line_and_stays_where_it_stops(robot):
     spec = load_spec(robot)
     athlete = Athlete(spec, load_scenario("calibration_yard"), 0, trial=nominal_truth(spec))

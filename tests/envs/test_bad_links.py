@@ -23,7 +23,7 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[] if kind == "all_of_it" else pytest.mark.slow) for kind in BAD])
+@pytest.mark.parametrize("kind", [pytest.param(kind, marks=[pytest.mark.slow] + [pytest.mark.ci] * (kind == "all_of_it")) for kind in BAD])
 def test_a_walk_over_a_bad_link_does_each_step_once(kind):
     spec = load_spec("sdm_b")
     robot, taken = MockAthlete(spec), []

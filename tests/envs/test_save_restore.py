@@ -109,6 +109,7 @@ def check_a_branch(name, *, steps, branches):
     return player.heard
 
 
+@pytest.mark.slow
 def test_mock_goes_on_from_a_saved_moment_as_it_did():
     assert check_a_branch(MOCK, steps=STEPS, branches=3) > STEPS / 20
 

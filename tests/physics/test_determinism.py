@@ -113,7 +113,9 @@ def in_fresh_processes(robot: str, count: int) -> list[str]:
     return hashes
 
 
-@pytest.mark.parametrize("robot", ["sdm_b", pytest.param("t12", marks=[pytest.mark.slow, pytest.mark.ci])])
+@pytest.mark.slow
+@pytest.mark.ci
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
 def test_ten_thousand_ticks_are_the_same_in_processes_restored_rebuilt_and_in_company(robot):
     """The fresh processes never save: equal to them, neither saving nor restoring has left a trace."""
     alone, again = in_fresh_processes(robot, 2)
@@ -188,6 +190,7 @@ def episode(env: gym.Env, seed: int, *, steps: int) -> list[dict]:
 
 
 @pytest.mark.parametrize("name", ["AthleteTwin/SdmB-v0", "AthleteTwin/T12-v0"])
+@pytest.mark.slow
 def test_a_reset_environment_shows_the_same_again(name):
     env = small_environment(name)
     first, again = episode(env, 4, steps=12), episode(env, 4, steps=12)

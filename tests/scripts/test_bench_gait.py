@@ -24,11 +24,13 @@ def test_two_opposite_legs_in_the_air_ask_less_of_the_joints_than_one_as_in_figu
         assert (gaits.loads(legs)[list(legs)] == 0.0).all()
 
 
+@pytest.mark.slow
 def test_rows_say_what_ended_a_stride(figures):
     rows = figures.Gaits("sdm_b").strides()
     assert len(rows) == 8 and all("ended by: leg" in r["name"] and 0.5 < r["ours"] < 1.5 for r in rows)
 
 
+@pytest.mark.slow
 def test_picture_is_drawn(script, figures, tmp_path):
     path = script("gait_pictures").draw(figures.Gaits("sdm_b"), tmp_path / "deep" / "gait.png")
     assert path.stat().st_size > 30_000

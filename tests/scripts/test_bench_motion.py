@@ -79,6 +79,7 @@ def test_the_generator_makes_the_sets_first_problems_again(script, problems):
         np.testing.assert_allclose(one.goal, frozen.goal, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_bench_prints_its_rows_and_a_log_that_ompl_reads(script, tmp_path, capsys):
     log = tmp_path / "motion.log"
     assert script("bench_motion").main(["--problems", "1", "--planners", "sbl", "rrtconnect", "--log", str(log), "--json"]) == 0

@@ -23,6 +23,7 @@ def bench():
     return module
 
 
+@pytest.mark.slow
 def test_both_renderers_see_the_robot_in_the_same_places(bench):
     spec = bench._resized(bench.load_spec("sdm_b"), 320, 240)
     clear = bench.stance_wheels_in_hex(spec)[:, :2]

@@ -59,7 +59,7 @@ def reading(script, robot, lifted, rng):
     return script("sag_yard").Reading(stance=stance(heights), lifted=lifted, motors=joints, axle_heights=axles)
 
 
-@pytest.fixture(scope="module", params=["sdm_b", "t12"])
+@pytest.fixture(scope="module", params=["sdm_b", pytest.param("t12", marks=pytest.mark.slow)])
 def individual(script, request):
     stances = script("sag_stances")
     rng = np.random.default_rng(2)

@@ -108,6 +108,7 @@ def test_the_map_calls_reachable_what_brute_force_reaches_and_little_less(script
     assert (found.plumb & ~found.ours).sum() <= 0.03 * found.plumb.sum()
 
 
+@pytest.mark.slow
 def test_rows_have_the_benchmarks_shape(script):
     rows = script("stability_figures").rows(robots=("sdm_b",), cells=4)
     assert all(set(r) == KEYS for r in rows)

@@ -105,6 +105,7 @@ def test_the_sandbox_goes_from_flat_to_very_rough(experiment):
     assert spread[-1] > 4.0 * spread[0]
 
 
+@pytest.mark.slow
 def test_the_order_of_the_paper_holds_of_the_means_and_not_in_every_experiment(found):
     for one in found["errors"]:
         assert one["order_of_the_mean"]["all"]

@@ -86,6 +86,7 @@ def test_parquet_holds_what_csv_holds(replay_trial, recording, tmp_path):
     assert table["t_s"].to_pylist() == [float(row["t_s"]) for row in rows]
 
 
+@pytest.mark.slow
 def test_pictures_are_made_for_either_clock(replay_trial, recording, tmp_path):
     import cv2
 

@@ -53,6 +53,7 @@ def measured(script, rows_module):
     )
 
 
+@pytest.mark.slow
 def test_loads_of_equal_tyres_sum_to_the_weight_and_meet_the_published_shares(rows_module, measured):
     for rest in measured.stances.values():
         assert rest.loads.sum() == pytest.approx(1.0, abs=2e-3)
@@ -63,6 +64,7 @@ def test_loads_of_equal_tyres_sum_to_the_weight_and_meet_the_published_shares(ro
     assert row.met == (abs(row.ours - row.published) <= 0.01)
 
 
+@pytest.mark.slow
 def test_spread_of_tyres_follows_the_figure_and_passes_no_verdict(rows_module, measured):
     names = [row.name for row in rows_module.rows_of(measured)]
     first = names.index("sdm_b wheel load, none lifted, any wheel")
@@ -73,6 +75,7 @@ def test_spread_of_tyres_follows_the_figure_and_passes_no_verdict(rows_module, m
     assert row.met is None
 
 
+@pytest.mark.slow
 def test_a_miss_is_a_miss(rows_module, measured):
     rows = by_name(rows_module.rows_of(measured))
     assert rows["sdm_b lift that breaks contact, 850 kg"].met is False  # 11.5 cm of 12 to 13
@@ -83,6 +86,7 @@ def test_a_miss_is_a_miss(rows_module, measured):
     assert rows["sdm_b largest slide of a step on 20 deg"].met is False  # less than on 14 deg
 
 
+@pytest.mark.slow
 def test_zero_interaction_gives_the_papers_pair_of_torques(rows_module, measured):
     rows = by_name(rows_module.rows_of(measured))
     for name, published in (("leg 1 lifted", 50.28), ("legs 1, 4 lifted", 43.43)):
@@ -91,6 +95,7 @@ def test_zero_interaction_gives_the_papers_pair_of_torques(rows_module, measured
         assert row.ours == pytest.approx(published, abs=2.0)
 
 
+@pytest.mark.slow
 def test_springs_softer_than_the_best_ones_predict_too_much_sag(script, measured):
     sag = script("validate_sag")
     rests = list(measured.stances.values())
@@ -100,6 +105,7 @@ def test_springs_softer_than_the_best_ones_predict_too_much_sag(script, measured
     assert np.mean(softer.errors) < -best.mean
 
 
+@pytest.mark.slow
 def test_the_search_ends_at_the_stiffest_tyre_that_was_measured_and_the_note_says_when_it_did(script, rows_module, measured):
     """The true tyre is F = 16 kN/m d + 110 kN/m2 d2, robot facts 2.6: the more it carries the stiffer, F / d."""
     sag = script("validate_sag")
@@ -115,6 +121,7 @@ def test_the_search_ends_at_the_stiffest_tyre_that_was_measured_and_the_note_say
     assert ended.at_bound
 
 
+@pytest.mark.slow
 def test_rows_have_the_keys_of_every_benchmark(rows_module, measured):
     for row in rows_module.rows_of(measured) + rows_module.elsewhere():
         content = json.loads(json.dumps(row.as_json()))
@@ -122,6 +129,7 @@ def test_rows_have_the_keys_of_every_benchmark(rows_module, measured):
         assert isinstance(content["target"], str)
 
 
+@pytest.mark.slow
 def test_figures_are_drawn(script, measured, tmp_path):
     paths = script("validate_figures").draw(tmp_path, [measured])
     assert {path.name for path in paths} == {"corner_heights.png", "wheel_loads.png", "torque.png", "slope.png"}

@@ -66,6 +66,7 @@ def test_the_longest_stride_passes_and_a_little_more_does_not(spec):
     assert judge_cycle(gait_cycle(spec, AHEAD, stride=found.value + STRIDE_DIGIT)).refusal(spec)
 
 
+@pytest.mark.slow
 def test_symmetric_headings_stride_alike():
     spec = load_spec("sdm_b")
     strides = [longest_stride(spec, _heading(d)).value for d in (0.0, 60.0, 120.0, 180.0, 240.0, 300.0)]
@@ -117,6 +118,7 @@ def test_where_no_place_will_do_the_sway_says_which_phase():
     assert isinstance(found, NoSway) and found.reason.startswith("no place of the chassis in phase 1")
 
 
+@pytest.mark.slow
 def test_the_best_constant_pose_beats_the_drawings_own(spec):
     config = SwayConfig(points=3, resolution=0.1)
     found = best_constant_pose(spec, AHEAD, stride=spec.stride, config=config)

@@ -43,6 +43,7 @@ def test_every_footfall_keeps_off_the_edges_and_all_wheels_arrive_beyond(spec, p
         assert (path[1, 2] - spec.wheel.radius >= profile.height(between) + CONFIG.clear - 1e-9).all()
 
 
+@pytest.mark.slow
 def test_every_step_of_a_crossing_reaches_and_holds_as_pinocchio_says(spec, crossing):
     kin, axles, pose, worst = kinematics("sdm_b"), crossing.axles.copy(), crossing.begin, 0.0
     for step in crossing.steps:
@@ -61,6 +62,7 @@ def test_every_step_of_a_crossing_reaches_and_holds_as_pinocchio_says(spec, cros
     assert (axles[:, 0] > 0.0).all()
 
 
+@pytest.mark.slow
 def test_the_chassis_moves_in_neighbouring_poses(crossing):
     before = crossing.begin
     for step in crossing.steps:

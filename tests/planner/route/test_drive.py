@@ -76,6 +76,7 @@ def on(agent: GroundAgent, heights) -> Ground:
     return Ground(heights=grid, filled=grid, cautious=grid, footfalls=footfalls)
 
 
+@pytest.mark.slow
 def test_over_flat_ground_it_drives_to_the_goal_and_belief_goes_where_the_robot_goes(robot):
     agent, mock = ready(robot)
     proposals, end = to_the_end(agent, mock, most=6)

@@ -165,6 +165,7 @@ def _measured(legs, stiffness, twist, noise=0.0, seed=0):
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_both_constants_are_found_again_from_noisy_heights():
     stances = [_measured(legs, 55e3, 5e5, noise=0.003, seed=k) for k, legs in enumerate([(), (0,), (1,), (2,), (0, 3)])]
     fit = identify_docks(stances, [PIECES] * 5, start=40e3)

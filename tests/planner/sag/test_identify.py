@@ -121,6 +121,7 @@ def test_six_poses_tell_the_constant_of_each_wheel():
     assert fit.max_error < 1e-6
 
 
+@pytest.mark.slow
 def test_stated_sigma_of_a_constant_is_what_instruments_errors_scatter_it_by():
     found = [
         identify_per_wheel(

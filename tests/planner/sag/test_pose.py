@@ -311,6 +311,7 @@ def test_wrong_use_is_refused():
 
 
 @given(seed=st.integers(0, 10_000), robot=st.sampled_from(ROBOTS))
+@pytest.mark.slow
 def test_any_stance_has_a_pose_that_the_forward_model_confirms_or_a_reason(seed, robot):
     rng, kin = np.random.default_rng(seed), kinematics(robot)
     motors, reached = all_legs_ik(kin.spec, stance_wheels_in_hex(kin.spec) + rng.normal(0.0, 0.08, (6, 3)))

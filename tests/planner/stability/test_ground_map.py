@@ -91,6 +91,7 @@ def hull_distance(point, corners):
     return float(-np.max(ConvexHull(corners).equations @ np.append(point, 1.0)))
 
 
+@pytest.mark.slow
 def test_reached_cells_are_reached_and_few_denied_ones_are_found_by_search(stand):
     """A claim is proven by Pinocchio's forward kinematics, the leg's limits and a plumb last link; a denial is held against a search."""
     found = stand.map(0, collision=None, footfalls=None, max_torque_fraction=np.inf)
