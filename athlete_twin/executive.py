@@ -44,6 +44,8 @@ SETTLING_TIME = 1.0
 IMAGING_TIME = 0.5
 """the robot stands still that long for a set of pictures [s]"""
 QUEUE_LIMIT = 8
+LARGEST_SEQ_STEP = 1000
+"""from one sequence to the next: more than a link loses, and one wild number does not shut the robot to all later ones"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,6 +118,9 @@ class Executive:
         if message.seq <= self.newest_seq:
             cause = "repeated" if message.seq == self.newest_seq else "stale"
             return [self.refuse(cause, f"seq {message.seq} comes after {self.newest_seq}; each sequence counts on", message)]
+        if message.seq > self.newest_seq + LARGEST_SEQ_STEP:
+            text = f"seq {message.seq} is more than {LARGEST_SEQ_STEP} after {self.newest_seq}; no later one could be taken"
+            return [self.refuse("stale", text, message)]
         if message.t < self.stopped_t:
             text = f"the sequence was made at {message.t:.3f} s, before the stop of {self.stopped_t:.3f} s that overtook it"
             return [self.refuse("stale", text, message)]

@@ -157,8 +157,9 @@ class MissionEnv(gym.Env[Observation, Action], ABC):
     def restore_state(self, state: EpisodeState) -> tuple[Observation, dict[str, Any]]:
         """Back to a saved moment, as often as wanted: its observation and info.
 
-        Costs milliseconds in the environment that saved it; after a reset, in another one made alike, while a hull touched
-        something, or with a ground inside, the episode is run again from its start.
+        Costs milliseconds in the environment that saved it, in a body move as long as its inverse kinematics took so far; after a
+        reset, in another one made alike, while a hull touched something, or with a ground inside, the episode is run again from
+        its start.
         """
         state.check(self._made_with())
         if self._put_back(state.moment):
@@ -233,6 +234,7 @@ class MissionEnv(gym.Env[Observation, Action], ABC):
             "cameras": self.cameras,
             "step_s": self.step_s,
             "rewards": self._rewards,
+            "time_limit": self.time_limit,
         }
 
     @abstractmethod
@@ -421,7 +423,8 @@ class UplinkEnv(MissionEnv):
         if message is not None:
             self.mission.send(message)
         self._inputs.append(message)
-        self._sequences += message is not None
+        if message is not None:
+            self._sequences = max(self._sequences, message.seq) + 1
         arrived = self.mission.advance(begun + self.step_s, stop_at_downlink=True)
         for down in arrived:
             self._view.take(down)

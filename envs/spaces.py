@@ -149,6 +149,8 @@ class DownlinkView:
     def take(self, message: Message) -> None:
         """Remember a message that has come down, unless a newer one of its kind came before."""
         kind = message.topic + getattr(message, "camera", "")
+        if isinstance(message, StereoPair) and message.bracket:
+            return  # a slot shows the first exposure of a bracket
         if message.seq < self._newest.get(kind, 0):
             return
         self._newest[kind] = message.seq
@@ -164,7 +166,7 @@ class DownlinkView:
         elif isinstance(message, Fault):
             self._counts["fault"] = np.int64(FAULTS.index(message.code if message.code in FAULTS else "other"))
             self._said_at["fault"] = message.t
-        elif isinstance(message, StereoPair) and message.camera in self.cameras and message.bracket == 0:
+        elif isinstance(message, StereoPair) and message.camera in self.cameras:
             self._said_at[message.camera] = message.t
             for side, image in (("left", message.left), ("right", message.right)):
                 slot = self._kept[side][self.cameras.index(message.camera)]

@@ -137,6 +137,38 @@ def test_message_objects_go_up_whole(mock_env):
     assert pair.left.shape == (384, 512) and pair.state.sequence_id == 7
 
 
+def test_steps_count_on_from_a_message_of_ones_own(mock_env):
+    mock_env.reset(seed=1)
+    own = CommandSequence(seq=100, robot_id="sdm_b", t=0.0, sequence_id=100, commands=(Wait(duration=0.1),))
+    arrived = list(mock_env.unwrapped.step_message(own)[-1]["messages"])
+    action = {name: np.zeros(part.shape, part.dtype) for name, part in mock_env.action_space.items()}
+    arrived += mock_env.step(action | {"kind": np.int64(KINDS.index("drive")), "drive": np.array([0.1, 0.0], np.float32)})[-1]["messages"]
+    for _ in range(30):
+        arrived += mock_env.step(nothing(mock_env))[-1]["messages"]
+    receipts = [(m.sequence_id, m.status) for m in arrived if isinstance(m, Receipt)]
+    assert (101, "queued") in receipts and not any(status == "refused" for _, status in receipts)
+
+
+def test_a_slot_shows_the_first_exposure_in_whatever_order_a_bracket_comes(mock_env):
+    mock_env.reset(seed=1)
+    look = CommandSequence(
+        seq=0, robot_id="sdm_b", t=0.0, sequence_id=0,
+        commands=(ImageRequest(cameras=("hazcam_1",), binning=4, brackets=(1.0, 2.0)),),
+    )  # fmt: skip
+    arrived = list(mock_env.unwrapped.step_message(look)[-1]["messages"])
+    for _ in range(20):
+        arrived += mock_env.step(nothing(mock_env))[-1]["messages"]
+    first, second = (m for m in arrived if isinstance(m, StereoPair))
+    assert (first.bracket, second.bracket) == (0, 1)
+    seen = []
+    for order in ((first, second), (second, first)):
+        view = DownlinkView(load_spec("sdm_b"), ("hazcam_1",), (3.0, 0.0))
+        for message in order:
+            view.take(message)
+        seen.append(view.observation(99.0))
+    assert np.array_equal(seen[0]["left"], seen[1]["left"]) and seen[1]["image_present"].all()
+
+
 def test_a_stop_reaches_the_robot(mock_env):
     mock_env.reset(seed=1)
     action = nothing(mock_env)

@@ -28,7 +28,7 @@ SETUP = TrialSetup(
 
 
 def short(seed, operator, delay):
-    way = LinkConfig(delay=delay, bandwidth=64e3, jitter=0.5, outages=((20.0, 25.0),))
+    way = LinkConfig(delay=delay, bandwidth=64e3, jitter=0.5, outages=((4.0, 7.0),))
     return dataclasses.replace(SETUP, seed=seed, operator=operator, up=way, down=way, time_limit=900.0)
 
 
