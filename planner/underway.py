@@ -40,6 +40,8 @@ class Underway:
     """commands known to be completed: the first so many"""
     _last_word: float | None = None
     """when it was sent or heard of last, mission time [s]"""
+    _repeated_at: float | None = None
+    """when the robot refused it as one that it has had, robot time [s]"""
 
     def take(self, message: Message, t: float) -> range:
         """Take what came down at mission time `t` [s]; indices of the commands that are thereby known to be completed."""
@@ -55,6 +57,8 @@ class Underway:
             self._receipt(message)
         elif isinstance(message, Telemetry) and message.sequence_id == self.sequence.sequence_id:
             self._telemetry(message)
+        elif isinstance(message, Telemetry) and self._repeated_at is not None and message.t >= self._repeated_at:
+            self._gone(message)
         self._completed = min(self._completed, len(self.sequence.commands))
         return range(before, max(before, self._completed))
 
@@ -69,7 +73,7 @@ class Underway:
 
     def _receipt(self, receipt: Receipt) -> None:
         if receipt.status == "refused" and receipt.cause == "repeated":
-            self.heard = True  # it was there before: what became of it the telemetry says
+            self.heard, self._repeated_at = True, receipt.t  # it was there before: what became of it the telemetry says
             return
         self.heard = True
         if receipt.status == "completed":
@@ -94,6 +98,14 @@ class Underway:
         self.outcome = "failed" if telemetry.executive_state == "fault" else "cancelled"
         if self.fault is None:
             self.fault = self._unreported(telemetry.command_index, f"the executive is in state {telemetry.executive_state}", telemetry)
+
+    def _gone(self, telemetry: Telemetry) -> None:
+        """The robot had it, has never begun it and does nothing: it was cancelled in the queue, and that receipt was lost."""
+        if self.outcome or telemetry.executive_state == "executing":
+            return
+        self.outcome = "cancelled"
+        if self.fault is None:
+            self.fault = self._unreported(-1, "the robot had the sequence and never began it", telemetry)
 
     def _unreported(self, index: int, text: str, message: Message) -> Fault:
         """A fault of which the robot's own report is missing."""

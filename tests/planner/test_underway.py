@@ -77,6 +77,17 @@ def test_a_repeated_command_is_known_to_be_there_and_goes_on():
     assert u.outcome == "refused" and u.fault is None
 
 
+def test_a_sequence_cancelled_in_the_queue_is_known_from_a_robot_that_had_it_and_does_nothing():
+    u = underway()
+    u.take(telemetry("idle", 3, number=4), 20.0)
+    assert u.outcome == ""  # perhaps it is still on its way up
+    u.take(receipt("refused", cause="repeated"), 90.0)
+    u.take(telemetry("executing", 1, number=4, seq=1), 90.0)
+    assert u.outcome == ""  # it may wait in the queue behind that one
+    u.take(telemetry("stopped", 3, number=4, seq=2), 90.0)
+    assert (u.outcome, u.fault.code, u.fault.command_index) == ("cancelled", "unreported", -1)
+
+
 def test_silence_counts_from_the_last_word():
     u = underway()
     assert not u.silent(10.0 + SILENCE) and u.silent(10.1 + SILENCE)
