@@ -49,7 +49,7 @@ test-slow: $(STAMP)  ## whole trials and long physics
 
 # Exit status 5 says that no test carries both marks: an answer, not a failure.
 test-slow-ci: $(STAMP)  ## the slow tests that are also marked ci
-	$(PYTEST) -m "slow and ci" $(PYTEST_ARGS) || [ $$? -eq 5 ]
+	$(PYTEST) -n 2 -m "slow and ci" $(PYTEST_ARGS) || [ $$? -eq 5 ]
 
 demo: $(STAMP)  ## a robot walks around rocks that it sees in stereo, commanded with 5 s of delay each way
 	$(BIN)/python scripts/rock_field_trial.py --robot $(ROBOT) --scenario $(SCENARIO) --variant $(VARIANT) \

@@ -52,6 +52,8 @@ def until(athlete: Athlete, t: float) -> list:
     return out
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_stuck_motor_stays_where_it_is(twin):
     athlete = twin(InjectedFault(kind="stuck_joint", t=0.5, leg=2, joint="ankle_roll"))
     q = athlete.executive.setpoint[2].copy()
@@ -64,6 +66,8 @@ def test_a_stuck_motor_stays_where_it_is(twin):
     assert [f.kind for f in athlete.injected] == ["stuck_joint"]
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_biased_encoder_reads_wrong_angle_and_torque_and_moves_nothing(twin):
     athlete = twin(InjectedFault(kind="encoder_bias", t=5.0, leg=1, joint="knee_pitch", value=0.3))
     send(athlete, Wait(duration=10.0))
@@ -76,6 +80,8 @@ def test_a_biased_encoder_reads_wrong_angle_and_torque_and_moves_nothing(twin):
     assert np.abs(athlete.truth().joints[1, k] - before.joints[1, k]) < 3e-4
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_torque_sensor_drifts_by_the_minute(twin):
     athlete = twin(InjectedFault(kind="torque_drift", t=60.0, leg=0, joint="hip_pitch", value=50.0))
     until(athlete, 59.0)
@@ -88,6 +94,8 @@ def test_a_torque_sensor_drifts_by_the_minute(twin):
     assert after.torques[0, k] - before.torques[0, k] == pytest.approx(50.0 * (after.t - 60.0) / 60.0, abs=25.0)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_tyre_that_loses_pressure_lowers_its_corner_even_while_the_robot_waits(twin):
     athlete = twin(InjectedFault(kind="soft_tyre", t=30.0, leg=3, value=0.4))
     until(athlete, 29.0)
@@ -100,6 +108,8 @@ def test_a_tyre_that_loses_pressure_lowers_its_corner_even_while_the_robot_waits
     assert after.wheel_loads.sum() == pytest.approx(before.wheel_loads.sum(), rel=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_dead_camera_sends_black_pictures_and_the_others_do_not(twin):
     athlete = twin(InjectedFault(kind="dead_camera", t=0.0, camera="navcam_2"))
     send(athlete, ImageRequest(cameras=("navcam_1", "navcam_2"), binning=4))
@@ -108,6 +118,8 @@ def test_a_dead_camera_sends_black_pictures_and_the_others_do_not(twin):
     assert pairs["navcam_1"].left.mean() > 30.0
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_brown_out_loses_the_sequence_and_the_queue_and_answers_afterwards(twin):
     athlete = twin(InjectedFault(kind="brown_out", t=3.0, value=20.0))
     wheel = athlete.kin.leg_wheel(0, athlete.executive.setpoint[0]).translation
@@ -136,6 +148,8 @@ def test_a_joint_that_the_robot_lacks_is_refused_by_name(twin):
         twin(InjectedFault(kind="dead_camera", t=0.5, camera="toolcam_9"), fine)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_refused_fault_leaves_no_physics_client_behind(twin):
     first = twin().world.client
     with pytest.raises(ConfigError):

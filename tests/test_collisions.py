@@ -63,6 +63,8 @@ def leg_to(athlete: Athlete, leg: int, wheel: np.ndarray) -> np.ndarray:
     return q
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_clean_step_counts_no_collision(robot):
     athlete = robot(with_block((8.0, 8.1), (0.0, 0.1), 0.1))
     wheel = athlete.kin.leg_wheel(0, athlete.executive.setpoint[0]).translation
@@ -71,6 +73,8 @@ def test_a_clean_step_counts_no_collision(robot):
     assert not athlete.collisions
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_wheels_side_driven_into_a_rock_is_seen(robot):
     athlete = robot(with_block((2.35, 2.9), (-0.4, 0.4), 0.6))
     wheel = athlete.kin.leg_wheel(0, athlete.executive.setpoint[0]).translation
@@ -86,6 +90,8 @@ def test_a_wheels_side_driven_into_a_rock_is_seen(robot):
     assert 2.2 < strike.place_in_world[0] < 2.9
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_shank_driven_into_a_rock_is_seen(robot):
     # The knee stands out beyond the wheel: a tall slab beside it, clear of the wheel, meets the shank when the leg turns.
     athlete = robot(with_block((2.02, 2.4), (0.35, 0.75), 1.10))
@@ -100,6 +106,8 @@ def test_a_shank_driven_into_a_rock_is_seen(robot):
     assert parts(athlete) & {"leg1_knee_roll", "leg1_knee_pitch", "leg1_ankle_pitch", "leg1_hip_pitch"}
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_chassis_lowered_onto_a_rock_is_seen(robot):
     # Below one side of the ring, between two hips, which reach lower than the ring does.
     athlete = robot(with_block((0.88, 1.18), (0.42, 0.78), 1.35))
@@ -108,6 +116,8 @@ def test_the_chassis_lowered_onto_a_rock_is_seen(robot):
     assert all(c.force > 0.0 for c in athlete.collisions)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_one_contact_episode_counts_once(robot):
     # Below one side of the ring, between two hips, which reach lower than the ring does.
     athlete = robot(with_block((0.88, 1.18), (0.42, 0.78), 1.35))
@@ -125,6 +135,8 @@ def test_a_wheel_driven_into_a_rock_is_seen_and_driving_over_a_pebble_is_none(ro
         assert {p for p in parts(athlete) if p.startswith("wheel")} == strikes, height
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_hulls_are_looked_at_in_every_control_tick_and_strikes_of_wheels_half_as_often(robot):
     athlete = robot(with_block((4.0, 5.0), (4.0, 5.0), 0.3))
     looked = {"hull_contacts": [], "hull_depths": []}

@@ -139,6 +139,7 @@ def test_importing_envs_loads_no_bullet_and_no_open3d() -> None:
     assert not loaded_of(("pybullet", "open3d", "ompl", "matplotlib"), modules_after("import envs"))
 
 
+@pytest.mark.slow
 def test_every_module_can_be_imported_first() -> None:
     # In one fresh interpreter each module is imported with our own packages forgotten: no module needs another's luck.
     names = [

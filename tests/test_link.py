@@ -79,6 +79,8 @@ def test_delay_shifts_every_arrival_alike(gaps, delay):
 
 @SETTINGS
 @given(st.floats(0.0, 0.9), st.integers(0, 99))
+@pytest.mark.slow
+@pytest.mark.ci
 def test_loss_only_takes_messages_away(loss, seed):
     gaps = [(1.0, 10)] * 40
     clean, lossy = a_link(seed, jitter=2.0), a_link(seed, jitter=2.0, loss=loss)

@@ -86,6 +86,7 @@ def test_plan_fit_recovers_a_rigid_motion(x, y, yaw):
 
 
 @pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.slow
 def test_step_and_shift_do_what_they_say(name):
     robot = MockAthlete(load_spec(name))
     wheel = robot.kin.wheels_in_hex(robot.executive.setpoint)[0]
@@ -183,6 +184,7 @@ def test_sky_is_bright_and_untextured():
 
 
 @pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.slow
 def test_a_drive_moves_the_mock_by_its_length_and_nothing_else(name):
     robot = MockAthlete(load_spec(name))
     before, stance = robot.truth().world_from_hex, robot.executive.setpoint.copy()
@@ -205,6 +207,7 @@ def test_a_bracket_of_the_mock_is_a_pair_for_each_exposure():
 
 
 @pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.slow
 def test_going_back_at_every_tick_changes_no_bit(name):
     def driven(back):
         robot = MockAthlete(load_spec(name))

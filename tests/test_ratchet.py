@@ -53,6 +53,8 @@ def pushed(athlete: Athlete, force: float, *, over: float) -> list:
 
 
 @pytest.mark.parametrize(("force", "over"), [(1500.0, 1.0), (2000.0, 0.03)])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_sound_gears_are_not_suspected_whatever_is_let_go(twin, force, over):
     """A load that is let go changes a reading by two teeth and more in a control tick: the jump itself proves nothing."""
     told = pushed(twin, force, over=over)
@@ -60,6 +62,8 @@ def test_sound_gears_are_not_suspected_whatever_is_let_go(twin, force, over):
     assert not [m for m in told if isinstance(m, Fault)]
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_gear_that_skipped_is_told_by_leg_and_joint_and_reads_wrong_from_then_on(twin):
     told = pushed(twin, 1900.0, over=4.75)
     skipped = {(int(leg), SPEC.joint_names[joint]) for leg, joint in np.argwhere(twin.body.slipped)}

@@ -58,6 +58,7 @@ def test_a_walk_over_a_bad_link_does_each_step_once(kind):
 
 
 @pytest.mark.parametrize("robot_id", ["sdm_b", "t12"])
+@pytest.mark.slow
 def test_a_robot_whose_first_word_is_lost_is_asked(robot_id):
     spec = load_spec(robot_id)
     robot, link = MockAthlete(spec), LinkConfig(delay=5.0, bandwidth=2e6)

@@ -232,6 +232,8 @@ def drive_ahead(env):
     return [*steps, env.step(nothing(env))]
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_only_progress_is_rewarded_by_default():
     env = gym.make("AthleteTwin/SdmB-Mock-v0", link=0.0, cameras=())
     _, info = env.reset(seed=0)
@@ -262,6 +264,8 @@ def test_truth_stands_in_info_under_one_key():
         assert set(said["truth"]) == {"goal_distance_m", "at_goal", "tip_over", "collisions", "reward_terms"}
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_reaching_the_goal_terminates_and_does_not_truncate():
     env = gym.make("AthleteTwin/SdmB-Mock-v0", link=0.0, cameras=(), time_limit=500.0)
     env.unwrapped.goal = (0.5, 0.0)
@@ -294,6 +298,8 @@ def to_proposal(env):
     raise AssertionError("no proposal")
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_operator_env_shows_proposals_and_ends_with_arrival(scripted):
     env = operator_env(scripted, step_s=100.0)
     observation, _ = env.reset(seed=0)

@@ -126,6 +126,8 @@ COUNTS = [QUICK, pytest.param(MANY, marks=pytest.mark.slow)]
 
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("robot", ["SdmB", "T12"])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_uplink_environment_takes_or_refuses_any_action(robot, count):
     env = uplink(robot)
     done, refused = fuzz(env, count, seed=1)
@@ -135,6 +137,7 @@ def test_uplink_environment_takes_or_refuses_any_action(robot, count):
 
 @pytest.mark.parametrize("count", COUNTS)
 @pytest.mark.parametrize("robot", ["SdmB", "T12"])
+@pytest.mark.slow
 def test_flat_environment_takes_or_refuses_any_action(robot, count):
     env = envs.FlatUplink(uplink(robot))
     done, refused = fuzz(env, count, seed=2)

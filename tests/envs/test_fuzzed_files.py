@@ -184,6 +184,8 @@ def test_a_recording_cut_at_any_place_gives_what_was_whole_there(tmp_path):
         assert len(kept) >= sum(size >= s for s in sizes)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_every_flipped_bit_of_a_small_recording_is_noticed_or_harmless(tmp_path):
     path, spoiled = tmp_path / "a.mcap", tmp_path / "b.mcap"
     with Recorder(path, metadata={"seed": "0"}) as recorder:

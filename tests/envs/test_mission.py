@@ -18,6 +18,8 @@ def run(mission, *, answer="approve", seconds=0.0, until=1000.0):
     return mission
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_every_second_falls_in_one_bin(scripted, make_mission):
     m = run(make_mission(scripted(steps=2), delay=3.0), seconds=7.0)
     assert m.mission_time == pytest.approx(m.t, abs=1e-8)
@@ -25,6 +27,8 @@ def test_every_second_falls_in_one_bin(scripted, make_mission):
     assert m.seconds("operator") == pytest.approx(14.0)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_ground_computation_is_charged_by_the_table(scripted, make_mission):
     m = run(make_mission(scripted(steps=2), delay=3.0))
     # One pair and two plans; the pair is worked on while the robot still settles, which is motion.
@@ -32,6 +36,8 @@ def test_ground_computation_is_charged_by_the_table(scripted, make_mission):
     assert 4.0 <= m.seconds("ground") <= 5.0
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_command_waits_two_delays_for_its_end(scripted, make_mission):
     near, far = (run(make_mission(scripted(), delay=d)) for d in (1.0, 9.0))
     assert near.seconds("motion") == pytest.approx(far.seconds("motion"), abs=0.1)
@@ -46,6 +52,8 @@ def test_robot_is_idle_while_only_the_link_is_awaited(scripted, make_mission):
     assert m.seconds("link") == pytest.approx(4.0)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_ground_sees_nothing_before_the_delay_is_over(scripted, make_mission):
     agent = scripted()
     run(make_mission(agent, delay=5.0))
@@ -54,6 +62,8 @@ def test_ground_sees_nothing_before_the_delay_is_over(scripted, make_mission):
     assert agent.seen[0][0] < 6.0 and agent.seen[1][0] > 10.0
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_downlinks_arrive_in_the_order_made(scripted, make_mission):
     agent = scripted()
     run(make_mission(agent))
@@ -62,6 +72,8 @@ def test_downlinks_arrive_in_the_order_made(scripted, make_mission):
     assert {type(m) for _, m in agent.seen} >= {Receipt, StereoPair, Telemetry}
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_rejection_brings_a_new_proposal(scripted, make_mission):
     agent = scripted()
     m = make_mission(agent, delay=1.0)
@@ -116,6 +128,7 @@ def test_answer_without_a_proposal_is_refused(make_mission):
         make_mission(None).answer(Decision(kind="approve"))
 
 
+@pytest.mark.slow
 def test_same_mission_twice_ends_at_the_same_time(scripted, make_mission):
     first, second = (run(make_mission(scripted())) for _ in range(2))
     assert first.t == second.t
@@ -123,6 +136,8 @@ def test_same_mission_twice_ends_at_the_same_time(scripted, make_mission):
     assert np.array_equal(a.joints, b.joints) and np.array_equal(a.world_from_hex.matrix(), b.world_from_hex.matrix())
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_mock_keeps_its_weight(scripted, make_mission):
     m = run(make_mission(scripted()))
     assert m.robot.truth().wheel_loads.sum() == pytest.approx(m.robot.spec.mass * GRAVITY, rel=1e-6)

@@ -58,6 +58,8 @@ def test_picture_shows_the_robot_where_it_truly_is(name):
     env.close()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_picture_changes_where_the_robot_moves_and_nowhere_else():
     env = made(MOCKS[0])
     env.reset(seed=0)
@@ -73,6 +75,7 @@ def test_picture_changes_where_the_robot_moves_and_nowhere_else():
     env.close()
 
 
+@pytest.mark.slow
 def test_onlooker_follows_with_the_lens_and_then_steps_along():
     env = made(MOCKS[0], time_limit=1e5)
     env.reset(seed=0)
@@ -112,6 +115,8 @@ def test_pictures_of_an_episode_are_collected_one_a_step():
     env.close()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_operator_environment_shows_the_same_robot(scripted):
     env = OperatorEnv("sdm_b", body="mock", render_mode="rgb_array", make_agent=lambda *_: scripted())
     env.reset(seed=0)

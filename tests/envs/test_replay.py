@@ -16,6 +16,8 @@ from planner.decisions import Decision
 SCRIPT = Path(__file__).resolve().parents[2] / "scripts" / "rock_field_trial.py"
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_scripted_ground_proposes_the_same_from_the_recording(tmp_path, scripted, make_mission):
     path = tmp_path / "trial.mcap"
     with Recorder(path) as recorder:

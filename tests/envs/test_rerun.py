@@ -60,6 +60,7 @@ def test_a_hundred_of_a_hundred_short_trials_come_again(run):
 
 
 @pytest.mark.parametrize("name", SCRIPTED_OPERATORS)
+@pytest.mark.slow
 def test_each_operator_brings_a_trial_to_an_outcome_which_comes_again(run, name):
     setup = short(5, name, 1.0)
     trial = run(setup, steps=1)
@@ -80,6 +81,8 @@ class Nudged(MockAthlete):
         return dataclasses.replace(truth, com_in_world=truth.com_in_world + (1e-9 if self.t > 10.0 else 0.0))
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_first_difference_is_told_with_topic_and_time(run):
     first = run()
     first.run()
@@ -89,6 +92,8 @@ def test_the_first_difference_is_told_with_topic_and_time(run):
     assert done.difference.text.startswith("com_in_world[0] was ")
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_message_more_or_less_is_a_difference(run):
     first, longer = run(), run(dataclasses.replace(SETUP, time_limit=SHORT - 1.0))
     first.run()
@@ -112,6 +117,7 @@ class Person:
         return (self.answers.pop(0) if self.answers else Decision(kind="approve")), 3.3
 
 
+@pytest.mark.slow
 def test_a_persons_trial_comes_again_with_the_recorded_answers(run):
     setup = dataclasses.replace(SETUP, operator="human", time_limit=45.0)
     first = run(setup, operator=Person())
@@ -122,6 +128,8 @@ def test_a_persons_trial_comes_again_with_the_recorded_answers(run):
     assert done.equal and done.ending.natural
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_an_interrupted_trial_comes_again_as_far_as_it_went(run):
     first = run()
     first.progress = lambda state: setattr(first, "interrupted", state.mission.t > 10.0)
@@ -131,6 +139,7 @@ def test_an_interrupted_trial_comes_again_as_far_as_it_went(run):
 
 
 @pytest.mark.parametrize("share", [0.35, 0.6])
+@pytest.mark.slow
 def test_a_cut_recording_comes_again_as_far_as_it_goes(run, tmp_path, share):
     first = run()
     first.run()
@@ -142,6 +151,8 @@ def test_a_cut_recording_comes_again_as_far_as_it_goes(run, tmp_path, share):
     assert done.equal and 0 < done.messages < len(list(read_recording(first.out / "trial.mcap")))
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_rerun_writes_over_no_recording(run):
     first = run()
     first.run()
@@ -205,6 +216,8 @@ def test_a_recording_of_another_kind_is_refused(whole, tmp_path, change, said):
         recorded_origin(path)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_on_the_operators_clock_stands_what_was_known_and_no_truth(run):
     trial = run()
     trial.run()

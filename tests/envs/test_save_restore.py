@@ -121,6 +121,7 @@ def test_twin_goes_on_from_a_saved_moment_as_it_did(name):
     assert check_a_branch(name, steps=120, branches=3) > 6
 
 
+@pytest.mark.slow
 def test_two_processes_and_a_reset_give_the_same_bits():
     env = made()
     player = Player(env)
@@ -146,6 +147,8 @@ def test_ten_thousand_steps_are_the_same_in_processes_after_reset_and_from_a_sav
     assert player.play(LONG // 2) == elsewhere
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_spoilt_observations_spoil_nothing():
     class Spoiler(gym.ObservationWrapper):
         def observation(self, observation):
@@ -212,6 +215,7 @@ def test_restored_environment_draws_the_same_next_episode():
     assert env.unwrapped.save_state().seed == seed
 
 
+@pytest.mark.slow
 def test_operator_environment_goes_back_by_running_again(scripted):
     def env():
         return OperatorEnv("sdm_b", body="mock", link=1.0, step_s=5.0, make_agent=lambda *_: scripted(steps=2))
@@ -250,6 +254,7 @@ def test_state_that_steps_alone_do_not_lead_to_is_refused():
         made().unwrapped.restore_state(state)
 
 
+@pytest.mark.slow
 def test_moment_that_the_body_cannot_save_is_run_again(monkeypatch):
     env = made()
     player = Player(env)

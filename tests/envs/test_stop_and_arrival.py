@@ -57,6 +57,7 @@ def test_commands_are_heard_within_a_physics_tick_of_their_arrival_while_the_rob
     assert (late > -1e-9).all() and (late < TICK + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_stop_halts_the_motors_within_50_ms_whatever_moves(athlete):
     spec, rng = athlete.spec, np.random.default_rng(4)
     stance = athlete.truth().motors

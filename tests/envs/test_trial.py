@@ -58,6 +58,8 @@ def content(tmp_path):
     return json.loads((tmp_path / "trial.json").read_text())
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_result_has_exactly_the_promised_keys(trial, tmp_path):
     trial().run()
     written = content(tmp_path)
@@ -70,6 +72,8 @@ def test_result_has_exactly_the_promised_keys(trial, tmp_path):
     assert written["collisions"] == 0 and written["faults"] == 0
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_goal_is_reached_when_truth_and_ground_agree(trial):
     result = trial().run()
     assert result.outcome == "goal_reached" and result.steps_taken == 1
@@ -78,11 +82,14 @@ def test_goal_is_reached_when_truth_and_ground_agree(trial):
     assert result.mission_time_s == parts
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_truth_overrules_a_ground_that_believes_to_have_arrived(trial):
     result = trial(goal=(3.0, 0.0)).run()
     assert result.outcome == "no_step" and "declared arrival 2.9" in result.reason
 
 
+@pytest.mark.slow
 def test_same_trial_twice_has_the_same_trajectory(trial, scripted):
     assert trial().run().trajectory_sha256 == trial(agent=scripted()).run().trajectory_sha256
 
@@ -100,6 +107,8 @@ def test_time_limit_ends_the_trial(trial):
     assert result.outcome == "time_limit" and result.mission_time_s == pytest.approx(15.0, abs=0.05)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_rejections_and_operator_time_are_counted(trial):
     result = trial(operator=RejectSome(rejected=frozenset({0, 1}), seconds=4.0)).run()
     assert (result.decisions, result.rejections) == (3, 2)
@@ -137,6 +146,8 @@ class Broken(MockAthlete):
         return super().advance(until)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_broken_simulation_is_a_fault_not_a_crash(trial):
     result = trial(robot=Broken(load_spec("sdm_b"))).run()
     assert result.outcome == "fault" and "left its range" in result.reason
@@ -151,6 +162,8 @@ class Tipping(MockAthlete):
         return dataclasses.replace(truth, world_from_hex=tipped)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_thirty_degrees_of_true_tilt_end_the_trial(trial):
     result = trial(robot=Tipping(load_spec("sdm_b"))).run()
     assert result.outcome == "tip_over" and "34 deg" in result.reason
@@ -166,6 +179,8 @@ def test_no_step_says_which_check_refused_how_many(trial, scripted):
     assert result.sag_error_m == {"mean": None, "max": None} and result.map_error_m["coverage"] is None
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_giving_up_after_a_fault_is_a_fault(trial, scripted):
     class Faulty(MockAthlete):
         def advance(self, until):
@@ -190,6 +205,8 @@ def test_giving_up_after_a_fault_is_a_fault(trial, scripted):
     assert result.outcome == "fault" and result.faults == 1 and "knee at 130 %" in result.reason
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_scores_are_those_of_the_truth(trial):
     t = trial()
     result = t.run()

@@ -62,6 +62,7 @@ polylines = st.builds(
 
 @settings(max_examples=120, deadline=None)
 @given(nodes=polylines, tolerance=st.sampled_from([0.0, 1e-3, TOLERANCE]))
+@pytest.mark.slow
 def test_what_is_commanded_keeps_speed_and_acceleration_and_ends_at_rest_on_the_last_way_point(nodes, tolerance):
     """No slack but rounding: first and second differences are means of speed and acceleration over a period."""
     q = followed(timed(nodes, tolerance), nodes[0])

@@ -81,6 +81,8 @@ def test_wheels_look_as_large_as_drawn(spec):
     assert np.ptp(tyre.vertices[:, 1]) == pytest.approx(spec.wheel.width, abs=0.03)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_no_camera_sees_the_chassis_it_is_mounted_on(spec):
     """Neither where it is drawn nor displaced as a trial may draw it."""
     o3d = open3d()

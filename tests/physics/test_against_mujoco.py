@@ -174,6 +174,7 @@ def test_gravity_torques_and_mass_matrix_of_bullet(rival):
 
 
 @pytest.mark.parametrize("lifted", [(0, 2, 4), (1, 3, 5)])
+@pytest.mark.slow
 def test_three_wheels_carry_what_mujocos_masses_say(rival, flat_world, lifted):
     """Statically determinate: whatever tyres, docks and joints do, the weight's moments give the loads."""
     spec = rival.spec

@@ -43,6 +43,8 @@ def test_sdm_b_sags_by_the_root_of_its_tyres_quadratic(make_body):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.slow
+@pytest.mark.ci
 def test_ground_carries_the_weight_and_nothing_sideways(make_body, robot):
     body = make_body(robot)
     commands = body.joints.copy()
@@ -54,6 +56,8 @@ def test_ground_carries_the_weight_and_nothing_sideways(make_body, robot):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_robot_at_rest_stays_where_it_is(make_body, robot):
     body = make_body(robot)
     commands = body.joints.copy()
@@ -66,6 +70,8 @@ def test_a_robot_at_rest_stays_where_it_is(make_body, robot):
     assert not body.hull_contacts()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_lifting_one_leg_loads_its_neighbours_as_published(make_body):
     """0.2778 / 0.1667 / 0.1111 of the weight with one leg up, within 0.01, equal tyres (robot facts 10, item 2)."""
     body = make_body("sdm_b", foot_radius=1.793)
@@ -84,6 +90,7 @@ def test_lifting_one_leg_loads_its_neighbours_as_published(make_body):
     assert share[3] == pytest.approx(0.1111, abs=0.01)
 
 
+@pytest.mark.slow
 def test_t12_corner_leg_sags_more_than_a_middle_leg(make_body):
     """[SunSpiral2012] s5.1.3, fig. 12: a lifted pallet-corner leg (1, 3, 4, 6) drops its corner more than 2 or 5."""
     drops = {}
@@ -104,6 +111,8 @@ def test_t12_corner_leg_sags_more_than_a_middle_leg(make_body):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.slow
+@pytest.mark.ci
 def test_rebuilt_worlds_give_the_same_bytes(make_body, robot):
     def run() -> bytes:
         body = make_body(robot)
@@ -132,6 +141,8 @@ def test_motors_that_push_against_the_ground_stall_at_their_limits(make_body, ro
 
 
 @pytest.mark.parametrize("robot, kmh", [("sdm_b", 3.0), ("t12", 2.0)])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_driven_wheels_carry_the_robot_at_its_published_speed(make_body, robot, kmh):
     """3 km/h and 2 km/h on flat ground (robot facts 1), wheels steered along x."""
     body = make_body(robot)

@@ -140,6 +140,8 @@ def standing(request) -> Iterator[tuple[Walk, object]]:
 
 @settings(max_examples=8)
 @given(at=st.integers(0, 1000))
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_restored_body_goes_on_as_before_from_any_tick(standing, at):
     made, start = standing
     made.body.restore(start)
@@ -148,6 +150,8 @@ def test_a_restored_body_goes_on_as_before_from_any_tick(standing, at):
     assert first == again
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_restored_body_meets_the_ground_as_before():
     """Saved in the air with its legs up, it falls on its hull."""
     with walk("sdm_b", drop=-0.3, legs_up=1.2) as made:
@@ -157,6 +161,8 @@ def test_a_restored_body_meets_the_ground_as_before():
         assert made.body.world_from_hex().translation[2] < 1.0
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_nothing_is_saved_while_a_hull_touches():
     with walk("sdm_b", drop=-0.3, legs_up=1.2) as made:
         while not made.body.hull_contacts():
@@ -165,6 +171,8 @@ def test_nothing_is_saved_while_a_hull_touches():
             made.body.save()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_state_of_another_world_is_refused_and_states_let_go_of_are_freed():
     with walk("sdm_b") as made, walk("sdm_b") as other:
         numbers = [made.body.save().snapshot for _ in range(20)]

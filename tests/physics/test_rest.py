@@ -119,6 +119,8 @@ def test_a_robot_held_by_the_clock_goes_on_like_one_that_was_integrated(robot):
         integrated.close()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_what_sways_is_not_settled_where_it_turns(make_body):
     """At a turning point all is still for a moment: T12's sway after it was put down passes several."""
     body = make_body("t12")
@@ -136,6 +138,7 @@ def test_what_sways_is_not_settled_where_it_turns(make_body):
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("overhang", [-0.4, 0.0, 0.4])
+@pytest.mark.slow
 def test_a_robot_with_a_wheel_on_an_edge_comes_to_rest(make_body, robot, overhang):
     """The edge runs past wheel 2, inside, under or outside its axle by a part of its radius; T12 sways for 25 s."""
     spec = load_spec(robot)
@@ -154,6 +157,8 @@ def test_a_robot_with_a_wheel_on_an_edge_comes_to_rest(make_body, robot, overhan
     assert body.tyre.loads[1] > 0.0
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_robot_that_has_not_settled_is_not_at_rest(monkeypatch):
     monkeypatch.setattr("athlete_twin.athlete.SETTLE_LIMIT", 0.2)
     athlete = Athlete(load_spec("t12"), load_scenario("calibration_yard"), 0)

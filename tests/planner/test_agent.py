@@ -44,6 +44,7 @@ def receipt(sequence: CommandSequence, status: str) -> Receipt:
 
 
 @pytest.mark.parametrize("code", ["ratchet_slip", "gremlins"])
+@pytest.mark.slow
 def test_after_a_fault_without_a_remedy_of_its_own_the_ground_goes_on_or_says_why_not(agent, code):
     """Torques of a leg whose gear slipped are wrong by a tooth: what stands is misjudged, and nothing may break by it."""
     first = proposal(agent, 1.0)
@@ -65,6 +66,8 @@ def test_after_a_fault_without_a_remedy_of_its_own_the_ground_goes_on_or_says_wh
             return
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_an_edit_that_does_not_work_comes_back_as_the_gaits_own_step_with_the_reason(agent):
     own = proposal(agent, 1.0)
     far = Decision(kind="edit_footfall", footfall_in_world=np.array([7.0, 7.0, 0.0]))
@@ -110,6 +113,8 @@ def test_every_exposure_of_a_bracket_is_awaited(agent):
 
 
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_leg_that_hides_the_ground_it_needs_is_lifted_to_look_once_where_it_stands(robot, monkeypatch):
     spec = load_spec(robot)
     config = planner_config(read_toml(named_toml("variants", "integrated")), spec, name="integrated")

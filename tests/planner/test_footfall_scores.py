@@ -78,6 +78,8 @@ def test_a_step_costs_what_the_paper_says(filled):
     assert cost_of_profile(step, "asv_slope", asv_slope_deg=1.0) == pytest.approx(np.arctan(tangent), rel=1e-3)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_step_that_bears_enough_is_no_support_area_s_business():
     """The paper's own objection: a high step is not told from a low one where l exceeds the least that must bear."""
     for h in (0.02, 0.30):

@@ -24,6 +24,7 @@ def bench():
 
 
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.slow
 def test_a_row_for_each_kind_of_step_and_shares_that_make_a_whole(bench, capsys, robot):
     assert bench.main(["--robots", robot, "--steps", "40", "--repeats", "1", "--json"]) == 0
     rows = json.loads(capsys.readouterr().out)["rows"]

@@ -38,6 +38,8 @@ def test_a_set_that_was_touched_is_refused(script, problems, tmp_path):
 
 
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_ends_are_free_simple_ways_fail_on_most_and_another_planner_solves_them(script, problems, robot):
     """Every tenth; the shares have the set's own bound within the spread of so few."""
     build = script("build_leg_problems")

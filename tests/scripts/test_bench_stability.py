@@ -82,6 +82,8 @@ def test_whatever_the_first_search_denies_is_searched_again_whoever_claims_what(
 
 
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_tilted_scene_stands_on_the_same_ground(script, robot):
     scenes = script("stability_scene")
     level, tilted = (scenes.stability_scene(robot, 0, roll_deg=r, pitch_deg=p) for r, p in ((0.0, 0.0), (4.0, 3.0)))
@@ -127,6 +129,8 @@ def test_a_stance_that_nothing_holds_is_a_no_with_its_reason(script):
     assert 0.0 < held["ours"] <= held["peer"] and held["met"] is True
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_picture_is_drawn(bench, tmp_path):
     bench._draw("sdm_b", 1, tmp_path / "deep")
     assert (tmp_path / "deep" / "stability_sdm_b.png").stat().st_size > 30_000

@@ -131,6 +131,8 @@ def test_storyboard_skips_the_waiting(recording):
     assert max(waited) > 2 * recording.figures["link"]["delay_s"]
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_film_has_the_frames_of_its_storyboard(folder, recording):
     import cv2
 

@@ -126,6 +126,8 @@ def test_robot_hides_the_ground_and_is_labelled(tmp_path):
     assert (renderer.render(overhead(2.0), EYE, renderer.place({})).label == GROUND).all()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_rocks_are_labelled_where_they_lie():
     terrain = build_terrain(load_scenario("rock_field"), 0, clear_xy=np.zeros((0, 2)), clear_radius=0.3)
     renderer = Renderer(terrain, [])
@@ -153,6 +155,8 @@ def test_texture_is_the_same_seen_from_elsewhere(tmp_path):
     assert fine[inner].std() > 0.04 * left[inner].mean()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_same_bytes_again():
     terrain = build_terrain(load_scenario("rock_field"), 1, clear_xy=np.zeros((0, 2)), clear_radius=0.3)
     poses = {"box": SE3.from_translation(np.array([0.3, 0.1, 0.9]))}
@@ -165,6 +169,8 @@ def test_same_bytes_again():
     assert view[0].shape == (EYE.height_px, EYE.width_px, 3)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_horizon_is_ground_below_and_sky_above():
     terrain = build_terrain(load_scenario("rock_field"), 0, clear_xy=np.zeros((0, 2)), clear_radius=0.3)
     renderer = Renderer(terrain, [])

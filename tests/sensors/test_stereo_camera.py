@@ -167,6 +167,8 @@ def test_a_toolcam_sees_the_ground_beside_its_wheel_and_moves_with_the_leg(rende
     assert np.nanmedian(np.linalg.norm(truth.points_in_world[ground][:, :2] - wheel[:2], axis=1)) < 0.8
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_truth_tells_which_leg_a_pixel_shows():
     spec, kin = load_spec("sdm_b"), kinematics("sdm_b")
     terrain = build_terrain(load_scenario("rock_field"), 0, clear_xy=np.zeros((0, 2)), clear_radius=0.3)

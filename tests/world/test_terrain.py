@@ -30,6 +30,8 @@ def test_rock_diameters_follow_the_cumulative_area_fraction(k):
         assert field.area_fraction(d) == pytest.approx(formula)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_ground_seen_as_rock_is_the_area_fraction_of_the_formula():
     covered = [np.mean(built("rock_field", seed, NOWHERE).rock_index >= 0) for seed in range(4)]
     formula = 0.10 * (np.exp(-3.31 * 0.15) - np.exp(-3.31 * 1.5))
@@ -89,6 +91,8 @@ def test_slope_rises_towards_the_goal_by_its_angle(angle):
 @pytest.mark.parametrize(
     "name", ["calibration_yard", "rock_field", "moses_lake", "black_point", "slope_7", "measured_map"]
 )
+@pytest.mark.slow
+@pytest.mark.ci
 def test_ground_is_finite_zero_at_the_start_and_the_same_bytes_again(name):
     first, again = built(name), built(name)
     assert np.isfinite(first.grid.heights).all()

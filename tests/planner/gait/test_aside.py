@@ -104,6 +104,7 @@ SIDEWAYS = {"sdm_b": (5, 90.0, -0.10), "t12": (0, 90.0, -0.20)}
 """leg that is due, which way it is open, and how far the rubble goes beyond the search [m]"""
 
 
+@pytest.mark.slow
 def test_rubble_under_all_of_a_legs_footfalls_is_passed_by_the_least_move_that_gives_a_step(robot, on, field):
     leg, towards, beyond = SIDEWAYS[robot.spec.name]
     ground = on(robot, rubble(robot, field, leg=leg, towards_deg=towards, beyond=beyond))
@@ -138,6 +139,8 @@ TURNED = {"sdm_b": (3, -90.0, -0.10), "t12": (0, 122.0, -0.10)}
 """the open side lies where a turn takes the leg's footfalls"""
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_where_only_turns_are_allowed_the_chassis_turns_until_the_leg_has_a_step(robot, on, field):
     leg, towards, beyond = TURNED[robot.spec.name]
     ground = on(robot, rubble(robot, field, leg=leg, towards_deg=towards, beyond=beyond))
@@ -149,6 +152,8 @@ def test_where_only_turns_are_allowed_the_chassis_turns_until_the_leg_has_a_step
     assert_as_planned(plan, moved)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_turn_is_kept_by_the_shift_of_the_step_that_follows(robot, on, field):
     turn = float(np.deg2rad(5.0))
     plan = move_to(robot, on(robot, field()), 0.0, 5.0)
@@ -163,6 +168,8 @@ def test_a_turn_is_kept_by_the_shift_of_the_step_that_follows(robot, on, field):
 
 
 @pytest.mark.parametrize(("across", "turn_deg"), [(0.2, 0.0), (-0.2, 0.0), (0.0, 10.0), (0.0, -10.0), (0.1, -5.0)])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_moves_keep_the_rule_by_another_reckoning_and_the_mock_makes_them(robot, on, field, across, turn_deg):
     plan = move_to(robot, on(robot, field()), across, turn_deg)
     assert isinstance(plan, AsidePlan), plan
@@ -190,6 +197,8 @@ def test_the_twin_makes_the_moves_to_a_centimetre_and_half_a_degree(robot, on, f
         twin.close()
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_each_check_that_refuses_moves_is_counted_and_told(robot, on, field):
     ground, step = on(robot, field()), robot.config.step
 
@@ -283,6 +292,8 @@ def blocked(robot, monkeypatch) -> tuple[GroundAgent, MockAthlete, list[float]]:
     return agent, mock, sought
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_ground_proposes_the_move_as_a_shift_and_then_the_step(blocked):
     agent, mock, _ = blocked
     shown = agent.next(1.0)

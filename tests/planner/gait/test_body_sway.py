@@ -108,6 +108,8 @@ def test_the_last_shift_and_one_before_an_unknown_step_bring_the_chassis_back_to
     assert robot.belief.world_from_hex.rotate(back.sway_in_hex) == pytest.approx(-off, abs=MILLIMETRE)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_footfalls_lie_about_the_path_wherever_the_chassis_sways(robot, on, field):
     ground, off = on(robot, field()), np.array([0.08, -0.06, 0.05])
     step = replace(robot.config.step, sway=SWAY)

@@ -59,6 +59,8 @@ def test_the_judge_says_what_pinocchio_says_of_the_middle_of_a_swing(spec):
     assert verdict.refusal(spec) == ""
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_longest_stride_passes_and_a_little_more_does_not(spec):
     found = longest_stride(spec, AHEAD)
     assert found.value > spec.stride and found.ended_by
@@ -74,6 +76,8 @@ def test_symmetric_headings_stride_alike():
 
 
 @pytest.mark.parametrize("deck", ["level", "parallel"])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_steepest_slope_passes_and_a_steeper_one_does_not(spec, deck):
     found = steepest_slope(spec, AHEAD, stride=0.5 * spec.stride, deck=deck)
     assert np.deg2rad(2.0) < found.value < np.deg2rad(45.0)
@@ -95,6 +99,8 @@ def test_a_parallel_deck_sees_a_slope_as_gravity_leaning_downhill():
     assert gait_cycle(load_spec("sdm_b"), AHEAD, stride=0.6, footing=level).advance[2] == pytest.approx(0.6 * np.sin(angle))
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_swaying_leaves_the_footfalls_keeps_the_rule_and_gains_a_fifth_on_the_reference():
     """[SunSpiral2012] s5.3.2: over 20 % more margin to saturation; robot facts 12a fix stance and stride."""
     spec = load_spec("sdm_b")

@@ -44,6 +44,8 @@ def test_equal_lengths_are_the_regular_circle(spec):
     assert stretched[:, 0].max() == pytest.approx(2.0) and stretched[:, 0].min() == pytest.approx(-1.5)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_sdm_b_climbs_the_papers_slopes_with_the_deck_level_where_a_regular_circle_does_not(spec):
     """[SunSpiral2012] s5.3.4: 7 and 14 degrees, deck level."""
     assert np.rad2deg(steepest_slope(spec, AHEAD, stride=spec.stride, deck="level").value) < 7.0

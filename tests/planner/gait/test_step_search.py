@@ -93,6 +93,7 @@ def test_after_the_step_the_wheel_stands_on_its_footfall_under_the_chassis_that_
 
 
 @pytest.mark.parametrize("leg", LEGS)
+@pytest.mark.slow
 def test_a_mirrored_problem_has_the_mirrored_step(robot, on, field, leg):
     nominal = planned(robot, on(robot, field()), leg=leg).footfall_in_world
     rock = (nominal[0] + 0.04, nominal[1] - 0.05, *ROCK[robot.spec.name])
@@ -109,6 +110,8 @@ def test_a_mirrored_problem_has_the_mirrored_step(robot, on, field, leg):
     assert abs(other.shift.fraction - plan.shift.fraction) <= (0.25 if robot.spec.decks else 0.0)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_rock_on_the_gaits_place_is_stepped_beside(robot, on, field):
     free = planned(robot, on(robot, field()), leg=1).footfall_in_world
     ground = on(robot, field((free[0], free[1], *ROCK[robot.spec.name])))
@@ -126,6 +129,8 @@ def test_no_step_goes_further_than_the_goal(robot, on, field):
     assert np.linalg.norm(plan.shift.translation_in_hex[:2]) <= 0.1 + MILLIMETRE
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_refused_place_is_kept_away_from(robot, on, field):
     ground = on(robot, field())
     first = planned(robot, ground, leg=1).footfall_in_world[:2]
@@ -170,6 +175,8 @@ def test_no_step_says_which_check_refused_how_many(robot, on, field):
     assert shaky.reason == "no stable, reachable footfall for leg 1" and shaky.refused["swing_margin"] > 100
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_variant_may_refuse_footfalls_that_overload_a_joint(robot, on, field):
     """Between the loads of the best and of the worst footfall a limit refuses some; Pinocchio says that the chosen one keeps it."""
     ground, step, leg = on(robot, field()), robot.config.step, 1

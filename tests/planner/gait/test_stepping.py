@@ -71,6 +71,8 @@ def test_the_chassis_moves_in_neighbouring_poses(crossing):
             before = pose
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_ledge_beyond_reach_is_refused_by_the_step_that_cannot_be(spec):
     found = cross(spec, ledge(3.0), CONFIG)
     assert isinstance(found, NoCrossing) and found.reason.startswith("step ")

@@ -109,6 +109,8 @@ def test_on_flat_ground_the_leg_goes_straight_across(robot):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.slow
+@pytest.mark.ci
 def test_over_a_wall_the_leg_is_raised(robot):
     step = Step(robot, low_wall, half=0.5)
     path = step.plan()
@@ -125,6 +127,7 @@ def test_over_a_wall_the_leg_is_raised(robot):
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.slow
 def test_without_raised_points_the_sampling_planner_finds_the_way_and_repeats_it(robot):
     step = Step(robot, low_wall, half=0.5)
     config = SwingConfig(extra_heights=(0.0,))
@@ -137,6 +140,8 @@ def test_without_raised_points_the_sampling_planner_finds_the_way_and_repeats_it
     assert_holds(first, step)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_other_planners_serve_as_well():
     step = Step("sdm_b", low_wall, half=0.5)
     path = step.plan(planner="rrtconnect", config=SwingConfig(extra_heights=(0.0,)))

@@ -71,6 +71,8 @@ def disagreement(spec, cameras, error, correction):
     return float(np.sqrt(np.mean(spread)))
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_overlapping_hazcams_of_t12_recover_more_than_half_of_the_relative_error():
     ratios = []
     for seed in range(3):
@@ -82,6 +84,8 @@ def test_overlapping_hazcams_of_t12_recover_more_than_half_of_the_relative_error
     assert max(ratios) < 0.5, ratios
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_later_sets_do_not_undo_the_first():
     cameras = tuple(f"hazcam_{k}" for k in range(1, 7))
     spec, error, one, _ = looks("t12", cameras, 5, sets=1)
@@ -89,6 +93,8 @@ def test_later_sets_do_not_undo_the_first():
     assert disagreement(spec, cameras, error, three.correction) < 1.2 * disagreement(spec, cameras, error, one.correction)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_sdm_b_with_its_poor_overlap_takes_no_harm():
     """Every pose's own error, over all cameras, does not grow, whatever little the views share."""
     for seed in range(3):

@@ -143,6 +143,7 @@ def test_too_short_a_stretch_and_a_leg_in_the_air_are_refused_with_the_reason(ro
     assert planned(agent, lambda x, y: 0.0 * x) == NoDrive(reason="a leg is in the air")
 
 
+@pytest.mark.slow
 def test_a_refused_drive_is_walked(robot):
     agent, mock = ready(robot)
     assert "on its wheels" in agent.next(1.0).text

@@ -269,6 +269,8 @@ class Solids:
 
 
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_collisions_are_where_coal_s_distances_are_too_small(robot):
     stand = Stand(robot, rock_height=1.2)  # as high as a leg's links, so that they meet ground as well as robot
     found, solids = stand.map(0, collision=BY_HAND), Solids(stand, 0)

@@ -106,6 +106,8 @@ def test_tip_over_energy_on_rough_ground_equals_turning_the_robot_over_each_edge
 
 @pytest.mark.parametrize("slope_deg", [0.0, 7.0, 14.0])
 @pytest.mark.parametrize("azimuth_deg", [0.0, 20.0, 90.0])
+@pytest.mark.slow
+@pytest.mark.ci
 def test_tip_over_energy_on_a_slope_is_gravitys_work_integrated(slope_deg, azimuth_deg):
     """The robot turned about each edge in small steps until gravity helps, the moment summed up: no circle, no closed form."""
     turn = Rotation.from_euler("zx", [azimuth_deg, slope_deg], degrees=True).as_matrix()
