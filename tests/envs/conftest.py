@@ -136,12 +136,12 @@ def mission(agent: ScriptedAgent | None, *, delay: float = 5.0, recorder=None, r
     )
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def scripted():
     return ScriptedAgent
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_mission():
     return mission
 

@@ -62,7 +62,7 @@ def killed_trials(folder, kills, body):
 
 
 @pytest.mark.parametrize(
-    ("body", "kills"), [("mock", 5), pytest.param("mock", 40, marks=pytest.mark.slow), pytest.param("twin", 4, marks=pytest.mark.slow)]
+    ("body", "kills"), [("mock", 2), pytest.param("mock", 40, marks=pytest.mark.slow), pytest.param("twin", 4, marks=pytest.mark.slow)]
 )
 def test_a_killed_trial_keeps_all_but_the_last_second(tmp_path, body, kills):
     most = 0

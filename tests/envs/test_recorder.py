@@ -33,11 +33,11 @@ from envs.schemas import (
 from planner.decisions import Decision
 
 
-@pytest.fixture
-def recorded(tmp_path, scripted, make_mission):
-    """A whole mission's recording and the agent that saw it."""
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory, scripted, make_mission):
+    """A whole mission's recording and the agent that saw it; read, never written to."""
     agent = scripted()
-    path = tmp_path / "trial.mcap"
+    path = tmp_path_factory.mktemp("recorded") / "trial.mcap"
     with Recorder(path, metadata={"seed": "0"}) as recorder:
         m = make_mission(agent, delay=2.0, recorder=recorder)
         while not m.finished:
