@@ -42,6 +42,8 @@ from planner.gait.step_search import Ground, StepRequest, on_path, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.motion.cornering import free_corner_tolerance
+from planner.preview.foresee import foresee, known_ground
+from planner.preview.preview import Preview
 from planner.recovery import LOWERINGS, Recovery
 from planner.route.drive import DrivePlan, plan_drive
 from planner.route.guide import Guide, Way, refusals
@@ -181,6 +183,14 @@ class GroundAgent:
         if self._proposal is not None:
             return self._proposal
         return self._propose(t)
+
+    def foresee(self, proposal: Proposal, belief: Belief) -> Preview:
+        """What a proposal will do from a state of the robot."""
+        terrain = known_ground(proposal.terrain, belief)
+        return foresee(
+            self.kin, belief, proposal.sequence, terrain=terrain, springs=self.springs, payload_kg=self._payload,
+            docks=self.config.step.sag.docks,
+        )  # fmt: skip
 
     def decide(self, decision: Decision, t: float) -> CommandSequence | None:
         """Apply the operator's answer to the standing proposal; the sequence to send, or None when nothing goes up."""
