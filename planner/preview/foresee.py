@@ -8,7 +8,7 @@ A motion is sampled finely for where the joints are and coarsely (`TURNS`) for h
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -44,7 +44,7 @@ TOUCH_TRIES = 6
 class PreviewConfig:
     """What counts as a fault."""
 
-    collision: CollisionConfig = field(default_factory=lambda: CollisionConfig(deviations=0.0, near_ground_clearance=0.0, part_clearance=0.005))
+    collision: CollisionConfig = CollisionConfig(deviations=0.0, near_ground_clearance=0.0, part_clearance=0.005)
     """clearances of parts: less than plans keep, so that a plan that keeps them is no fault"""
     min_margin: float = 0.05
     """of the centre of mass to the border of the standing wheels: what the ground does not know of it [m]"""
@@ -308,8 +308,9 @@ class _Foresight:
         return np.asarray(forces)
 
     def _take(
-        self, index: int, way: Stretch | None, times: np.ndarray, motors: np.ndarray, moments: list[Standing], *, wheels: list[Wheels] | None = None
-    ) -> bool:
+        self, index: int, way: Stretch | None, times: np.ndarray, motors: np.ndarray, moments: list[Standing], *,
+        wheels: list[Wheels] | None = None,
+    ) -> bool:  # fmt: skip
         """Adds samples, judges them, and goes on from the last; whether the robot still stands."""
         moving = getattr(way.command, "leg", -1) if way is not None and isinstance(way.command, JointMove | LegMove) else -1
         for k, (t, q, standing) in enumerate(zip(times, motors, moments, strict=True)):
@@ -320,7 +321,7 @@ class _Foresight:
             now = self.t + float(t)
             self.rows.append((now, joints, standing.world_from_hex, axles, margin, float(fractions.max())))
             if index >= 0:
-                self._judge(index, now, standing, joints, axles, margin, fractions, moving, way)
+                self._judge(index, now, standing, joints, margin, fractions, moving, way)
         self.t += float(times[-1])
         self.motors = motors[-1].copy()
         return not any(fault.code == "tip_over" for fault in self.faults)
@@ -334,7 +335,7 @@ class _Foresight:
         return float(support_margin(com, contacts)) if carries.sum() >= 3 else -np.inf
 
     def _judge(
-        self, index: int, t: float, standing: Standing, joints: Joints, axles: Wheels, margin: float, fractions: Joints, moving: int,
+        self, index: int, t: float, standing: Standing, joints: Joints, margin: float, fractions: Joints, moving: int,
         way: Stretch | None,
     ) -> None:  # fmt: skip
         if margin < self.config.min_margin:
@@ -392,5 +393,6 @@ def _mixed(first: Standing, second: Standing, share: float) -> Standing:
         world_from_leg=tuple(between(a, b, share) for a, b in zip(first.world_from_leg, second.world_from_leg, strict=True)),
         forces=(1.0 - share) * first.forces + share * second.forces,
         loads=(1.0 - share) * first.loads + share * second.loads,
+        sideways_in_world=(1.0 - share) * first.sideways_in_world + share * second.sideways_in_world,
         status=second.status if second.status != "converged" else first.status,
     )

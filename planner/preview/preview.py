@@ -78,7 +78,8 @@ class Preview:
 
     def __post_init__(self) -> None:
         n = len(self.times)
-        lengths = {name: len(getattr(self, name)) for name in ("joints", "world_from_hex", "wheels_in_world", "margins", "torque_fractions")}
+        rows = ("joints", "world_from_hex", "wheels_in_world", "margins", "torque_fractions")
+        lengths = {name: len(getattr(self, name)) for name in rows}
         if n == 0 or any(length != n for length in lengths.values()):
             raise PlanningError(f"a preview of {n} times has {lengths}")
 

@@ -37,6 +37,8 @@ class Standing:
     """of the ground on the wheels, in the hex frame, shape (6, 3) [N]"""
     loads: PerLeg
     """their vertical part [N]"""
+    sideways_in_world: Wheels
+    """horizontal forces of the ground on the wheels that came since the start, shape (6, 3) [N]"""
     status: str
     """"converged", or why no such stance is: see `SagSolution.status`"""
 
@@ -60,6 +62,13 @@ class Stance:
         self._loads = self._upward(solved.forces, belief.gravity_in_hex())
         """under which they are there [N]"""
         self._first_loads = self._loads.copy()
+        self._solved: dict[tuple[bytes, ...], Standing] = {}
+        self._landed = np.zeros(LEGS, dtype=bool)
+        """wheels that came down since the start"""
+        regular = kin.spec.wheel.radius - belief.loads / kin.spec.believed_tyre_stiffness
+        deeper = belief.contacts_in_world[:, 2] + regular - self._axles[:, 2]
+        self._sink = float(np.mean(deeper[belief.planted]))
+        """by which axles stand lower than tyres alone say, as believed of those on the ground [m]"""
         gravity = belief.gravity_in_hex()
         self._compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, gravity)
         self._contacts_in_hex = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
@@ -67,7 +76,8 @@ class Stance:
     def lands(self, leg: int, axle_in_world: Vec3, ground: float) -> None:
         """A wheel touches ground of a height [m] there: from now on it stands, loaded or not."""
         self.stands[leg] = True
-        self._anchors[leg] = np.append(axle_in_world[:2], ground + self.kin.spec.wheel.radius)
+        self._anchors[leg] = np.append(axle_in_world[:2], ground + self.kin.spec.wheel.radius - self._sink)
+        self._landed[leg] = True
         self._axles[leg] = self._anchors[leg]
         self._loads[leg] = 0.0
 
@@ -86,39 +96,51 @@ class Stance:
 
     def at(self, motors: Joints) -> Standing:
         """The robot with its motors there, (6, dof) [rad], the wheels that stand where they stand."""
+        key = (motors.tobytes(), self.stands.tobytes(), self._anchors.tobytes())
+        if key not in self._solved:
+            self._solved[key] = self._at(motors)
+        return self._solved[key]
+
+    def _at(self, motors: Joints) -> Standing:
         feet = self.kin.wheels_in_hex(motors)
         fitted = self.stands
         if fitted.sum() < 3:
             pose = self._world_from_unsagged
-            return self._standing(pose, pose, [pose] * LEGS, np.zeros((LEGS, 3)), np.zeros(LEGS), "too_few_feet")
+            still = np.zeros((LEGS, 3))
+            return self._standing(pose, pose, [pose] * LEGS, still, np.zeros(LEGS), still, "too_few_feet")
         world_from_unsagged = _fit(feet[fitted], self._anchors[fitted])
         lifts = np.where(fitted, world_from_unsagged.apply(feet)[:, 2] - self._anchors[:, 2], AIRBORNE)
         gravity = -GRAVITY * world_from_unsagged.rotation.T @ WORLD_UP
         solved = self._solve(motors, gravity, lifts)
         loads = self._upward(solved.forces, gravity)
-        corrected = self._aside(loads).compose(world_from_unsagged)
+        aside, sideways = self._aside(loads)
+        corrected = aside.compose(world_from_unsagged)
         pose = corrected.compose(solved.unsagged_from_sagged)
         if isinstance(solved, DockedSag):
             carried = [corrected.compose(solved.unsagged_from_leg(leg)) for leg in range(LEGS)]
         else:
             carried = [pose] * LEGS
         forces = pose.rotation.T @ corrected.rotation @ solved.forces.T
-        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, solved.status)
+        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, sideways, solved.status)
 
     def axles(self, standing: Standing, joints: Joints) -> Wheels:
         """Axles in world, shape (6, 3) [m]; `joints` behind the wind-up say where the legs in the air are."""
-        stiffness = self.kin.spec.believed_tyre_stiffness
+        spec = self.kin.spec
+        stiffness = np.where(self._landed, spec.believed_tyre_stiffness, spec.believed_tyre_tangent)
         out = self._axles - np.outer((standing.loads - self._loads) / stiffness, WORLD_UP)
+        out -= standing.sideways_in_world / (spec.believed_tyre_stiffness * spec.believed_lateral_ratio)
         in_hex = self.kin.wheels_in_hex(joints)
         for leg in np.flatnonzero(~self.stands | (standing.loads <= 0.0)):
             out[leg] = standing.world_from_leg[leg].apply(in_hex[leg])
         return out
 
     def _standing(
-        self, world_from_unsagged: SE3, pose: SE3, carried: list[SE3], forces: Wheels, loads: PerLeg, status: str
+        self, world_from_unsagged: SE3, pose: SE3, carried: list[SE3], forces: Wheels, loads: PerLeg, sideways: Wheels, status: str
     ) -> Standing:
         self._world_from_unsagged = world_from_unsagged
-        return Standing(world_from_hex=pose, world_from_leg=tuple(carried), forces=forces, loads=loads, status=status)
+        return Standing(
+            world_from_hex=pose, world_from_leg=tuple(carried), forces=forces, loads=loads, sideways_in_world=sideways, status=status
+        )
 
     def _solve(self, motors: Joints, gravity: Vec3, lifts: PerLeg):  # type: ignore[no-untyped-def]  # SagSolution | DockedSag
         feet, com = self.kin.wheels_in_hex(motors), self.kin.com_in_hex(motors, self._payload)
@@ -129,13 +151,13 @@ class Stance:
     def _upward(forces: Wheels, gravity: Vec3) -> PerLeg:
         return np.asarray(forces @ -gravity / np.linalg.norm(gravity))
 
-    def _aside(self, loads: PerLeg) -> SE3:
-        """What the unloading of wheels that stood at first does sideways, in world."""
+    def _aside(self, loads: PerLeg) -> tuple[SE3, Wheels]:
+        """What the unloading of wheels that stood at first does sideways, and the forces that come with it, in world."""
         belief = self.belief
         first = belief.planted & (self._first_loads > 0.0)
         lost = np.where(first & ~(self.stands & (loads > 0.0)), 1.0, 0.0)
         if not lost.any() or not belief.forces.any():
-            return SE3.identity()
+            return SE3.identity(), np.zeros((LEGS, 3))
         gravity = belief.gravity_in_hex()
         standing = belief.planted & (lost == 0.0)
         change = np.where(standing, loads - belief.forces @ -gravity / GRAVITY, 0.0)
@@ -143,7 +165,8 @@ class Stance:
             self._compliance, change, self._contacts_in_hex, standing, gravity,
             released=np.where(lost[:, None] > 0.0, belief.forces, 0.0),
         )  # fmt: skip
-        return belief.world_from_hex.compose(response.hex_from_moved).compose(belief.world_from_hex.inverse())
+        moved = belief.world_from_hex.compose(response.hex_from_moved).compose(belief.world_from_hex.inverse())
+        return moved, belief.world_from_hex.rotate(response.forces)
 
 
 def _fit(points: np.ndarray, places: np.ndarray) -> SE3:

@@ -120,6 +120,8 @@ def _straight_leg(kin: Kinematics, command: LegMove, motors: Joints) -> Stretch:
     speed = (DESCENT_SPEED if command.guard == "contact" else WHEEL_SPEED) * command.speed_scale
     spans = fractions * way.length / speed
     free, loaded = (_paced(spans, out, r * command.speed_scale) for r in (kin.spec.speed_unloaded, kin.spec.speed_loaded))
+    posed = _posed(out[0], motors, kin.spec.speed_loaded * command.speed_scale)
+    free[1:], loaded[1:] = free[1:] + posed, loaded[1:] + posed
     if command.guard == "none":
         return Stretch(command=command, times=free, motors=out)
     return Stretch(command=command, times=loaded, motors=out, free_times=free if command.guard == "break_contact" else None)
@@ -132,7 +134,9 @@ def _straight_body(kin: Kinematics, command: BodyMove, motors: Joints) -> Stretc
     fractions = np.linspace(0.0, 1.0, 1 + _pieces(way.length, STRAIGHT_SPACING))
     out = np.array([way.at(float(f)) for f in fractions])
     rate = kin.spec.speed_loaded * command.speed_scale
-    return Stretch(command=command, times=_paced(fractions * way.length / WHEEL_SPEED, out, rate), motors=out)
+    times = _paced(fractions * way.length / WHEEL_SPEED, out, rate)
+    times[1:] += _posed(out[0], motors, rate)
+    return Stretch(command=command, times=times, motors=out)
 
 
 def _drive(spec: RobotSpec, command: Drive, motors: Joints) -> Stretch:
@@ -156,6 +160,11 @@ def _drive(spec: RobotSpec, command: Drive, motors: Joints) -> Stretch:
 
 def _pieces(length: float, spacing: float) -> int:
     return int(np.clip(np.ceil(length / spacing), 1, MOST_SAMPLES))
+
+
+def _posed(begin: Joints, motors: Joints, rate: float) -> float:
+    """Until the joints have the closed form's angles for where the wheels are [s]."""
+    return float(np.abs(begin - motors).max()) / rate
 
 
 def _paced(times: np.ndarray, motors: np.ndarray, rate: float) -> np.ndarray:
