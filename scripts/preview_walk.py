@@ -66,10 +66,8 @@ class Walk:
         agent = ground_agent(spec, variant, goal=(field_.goal_distance, 0.0), seed=seed)
         assert isinstance(agent, GroundAgent)
         self.agent = agent
-        self.mission = Mission(
-            self.robot, up=DelayedLink(uplink(0.0), np.random.default_rng([seed, 1])), down=DelayedLink(downlink(0.0), np.random.default_rng([seed, 2])),
-            agent=agent, on_truth=self._saw,
-        )  # fmt: skip
+        up, down = DelayedLink(uplink(0.0), np.random.default_rng([seed, 1])), DelayedLink(downlink(0.0), np.random.default_rng([seed, 2]))
+        self.mission = Mission(self.robot, up=up, down=down, agent=agent, on_truth=self._saw)
         self.datum = float(np.mean(grid.sample(self.robot.truth().wheels_in_world[:, :2])))
         self._now: Foreseen | None = None
         self._begun = 0.0

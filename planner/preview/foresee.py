@@ -44,15 +44,15 @@ TOUCH_TRIES = 6
 class PreviewConfig:
     """What counts as a fault."""
 
-    collision: CollisionConfig = CollisionConfig(deviations=0.0, near_ground_clearance=0.0, part_clearance=0.005)
-    """clearances of parts: less than plans keep, so that a plan that keeps them is no fault"""
+    part_clearance: float = 0.005
+    """of any two parts of the robot: less than plans keep, so that a plan that keeps it is no fault [m]"""
     min_margin: float = 0.05
     """of the centre of mass to the border of the standing wheels: what the ground does not know of it [m]"""
     max_wheel_sink: float = 0.05
     """of a wheel in the air into the believed terrain: what the map errs by [m]"""
 
     def __post_init__(self) -> None:
-        for name in ("min_margin", "max_wheel_sink"):
+        for name in ("part_clearance", "min_margin", "max_wheel_sink"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ConfigError(f"preview: {name} is {getattr(self, name)} m, must be finite and not negative")
 
@@ -106,7 +106,8 @@ class _Foresight:
         self.kin, self.spec, self.belief, self.sequence, self.config = kin, kin.spec, belief, sequence, config
         self.terrain, self.payload = terrain, payload_kg
         self.stance = Stance(kin, belief, springs=springs, payload_kg=payload_kg, docks=docks)
-        self.body = BodyCollision(kin.spec, terrain, config.collision)
+        bare = CollisionConfig(part_clearance=config.part_clearance, deviations=0.0, near_ground_clearance=0.0)
+        self.body = BodyCollision(kin.spec, terrain, bare)
         self.t, self.motors = 0.0, belief.motors.copy()
         self.begins: list[float] = []
         self.faults: list[PreviewFault] = []
