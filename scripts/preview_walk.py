@@ -53,17 +53,22 @@ class Foreseen:
         if not believed_world:
             true_from_believed = self.world_from_hex.compose(self.belief.world_from_hex.inverse())
         foreseen = [true_from_believed.apply(self.preview.at(t).wheels_in_world) for t in self.times]
-        return np.linalg.norm(np.array(foreseen).reshape(-1, 6, 3) - np.array(self.wheels).reshape(-1, 6, 3), axis=-1)
+        off = np.array(foreseen).reshape(-1, 6, 3) - np.array(self.wheels).reshape(-1, 6, 3)
+        return np.asarray(np.linalg.norm(off, axis=-1))
 
 
 class Walk:
     """A robot in a scenario, its ground approving everything, without delay."""
 
-    def __init__(self, robot: str, scenario: str, *, seed: int, variant: str = "integrated", body: str = "twin") -> None:
+    def __init__(
+        self, robot: str, scenario: str, *, seed: int, variant: str = "integrated", body: str = "twin", bearing_deg: float = 0.0
+    ) -> None:
         spec, field_ = load_spec(robot), load_scenario(scenario)
         self.robot: SimulatedRobot
         self.robot, grid = mock(spec, field_) if body == "mock" else twin(spec, field_, seed)
-        agent = ground_agent(spec, variant, goal=(field_.goal_distance, 0.0), seed=seed)
+        bearing = np.deg2rad(bearing_deg)
+        goal = (float(field_.goal_distance * np.cos(bearing)), float(field_.goal_distance * np.sin(bearing)))
+        agent = ground_agent(spec, variant, goal=goal, seed=seed)
         assert isinstance(agent, GroundAgent)
         self.agent = agent
         up, down = DelayedLink(uplink(0.0), np.random.default_rng([seed, 1])), DelayedLink(downlink(0.0), np.random.default_rng([seed, 2]))
@@ -83,10 +88,10 @@ class Walk:
             proposal, belief = mission.standing, self.agent.belief
             assert proposal is not None and belief is not None
             started = time.perf_counter()
-            preview = self.agent.foresee(proposal, belief)
-            truth = self.robot.truth()
+            preview = self.agent.preview(proposal.sequence, belief, proposal.terrain)
+            seconds, truth = time.perf_counter() - started, self.robot.truth()
             self._now = Foreseen(
-                belief=belief, proposal=proposal, preview=preview, seconds=time.perf_counter() - started,
+                belief=belief, proposal=proposal, preview=preview, seconds=seconds,
                 world_from_hex=truth.world_from_hex, wheels_at_first=truth.wheels_in_world.copy(),
             )  # fmt: skip
             self._begun = mission.t

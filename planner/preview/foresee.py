@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 from scipy.ndimage import distance_transform_edt
 
 from athlete_twin.errors import ConfigError, KinematicsError
@@ -82,6 +83,18 @@ def foresee(
     """
     config = PreviewConfig() if config is None else config
     return _Foresight(kin, belief, sequence, terrain, springs, payload_kg, docks, config).run()
+
+
+def posing(
+    kin: Kinematics, joints: Float[np.ndarray, "n 6 dof"], world_from_hex: tuple[SE3, ...], *, seconds: float = 0.0
+) -> Preview:
+    """Of a ground that foresees nothing but poses, evenly in time over so many seconds: no margins, torques and faults."""
+    n = len(joints)
+    wheels = [pose.apply(kin.wheels_in_hex(q)) for pose, q in zip(world_from_hex, joints, strict=True)]
+    return Preview(
+        times=np.linspace(0.0, seconds, n), joints=np.asarray(joints, dtype=float), world_from_hex=world_from_hex,
+        wheels_in_world=np.array(wheels), margins=np.full(n, np.nan), torque_fractions=np.full(n, np.nan), begins=(), faults=(),
+    )  # fmt: skip
 
 
 def known_ground(terrain: HeightGrid, belief: Belief) -> HeightGrid:
@@ -315,6 +328,8 @@ class _Foresight:
         """Adds samples, judges them, and goes on from the last; whether the robot still stands."""
         moving = getattr(way.command, "leg", -1) if way is not None and isinstance(way.command, JointMove | LegMove) else -1
         for k, (t, q, standing) in enumerate(zip(times, motors, moments, strict=True)):
+            if k == 0 and index >= 0:  # where the command before it ended
+                continue
             torques = self._torques(q, standing)
             fractions, joints = np.abs(torques / self.spec.torque_limits), q - torques / self.belief.joint_stiffness
             axles = self.stance.axles(standing, joints) if wheels is None else wheels[k]

@@ -15,8 +15,8 @@ from athlete_twin.geometry.arrays import Joints
 from athlete_twin.messages import BodyMove, Command, Drive, ImageRequest, JointMove, LegMove, Wait
 from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.leg_timing import leg_timing
-from athlete_twin.model.spec import RobotSpec
-from athlete_twin.model.straight_moves import DESCENT_SPEED, WHEEL_SPEED, BodyWay, LegWay
+from athlete_twin.model.spec import LEGS, RobotSpec
+from athlete_twin.model.straight_moves import DESCENT_SPEED, WHEEL_SPEED, BodyWay, LegWay, OutOfReachError
 
 SWING_SPACING = 0.04
 """between samples of a leg's way through the air at most, over its joints [rad]: 12 cm of SDM-B's wheel at full stretch"""
@@ -26,8 +26,8 @@ MOST_SAMPLES = 200
 """of one command"""
 IMAGING_TIME, SETTLING_TIME, BREAK_HOLD = 0.5, 1.0, 0.5
 """the executive's: of a set of pictures, at the end of a sequence, and after a lift-off until it is sure of it [s]"""
-DRIVE_ACCELERATION = 0.3
-"""of the chassis [m/s2]"""
+DRIVE_ACCELERATION, HALT = 0.3, 0.3
+"""of the chassis [m/s2], and until it is at rest before the wheels are steered back [s]: the executive's"""
 
 
 class BadCommandError(KinematicsError):
@@ -80,7 +80,7 @@ def stretch(kin: Kinematics, command: Command, motors: Joints) -> Stretch:
     if isinstance(command, BodyMove):
         return _straight_body(kin, command, motors)
     if isinstance(command, Drive):
-        return _drive(kin.spec, command, motors)
+        return _drive(kin, command, motors)
     seconds = command.duration if isinstance(command, Wait) else IMAGING_TIME
     if isinstance(command, ImageRequest):
         known = [camera.name for camera in kin.spec.cameras]
@@ -139,8 +139,9 @@ def _straight_body(kin: Kinematics, command: BodyMove, motors: Joints) -> Stretc
     return Stretch(command=command, times=times, motors=out)
 
 
-def _drive(spec: RobotSpec, command: Drive, motors: Joints) -> Stretch:
-    """The posture stays; what the ankles do to steer is left out. From rest to rest, evenly sampled along the way."""
+def _drive(kin: Kinematics, command: Drive, motors: Joints) -> Stretch:
+    """Steers, rolls from rest to rest and steers back; sampled evenly along the way, the turned ankles left out of the posture."""
+    spec = kin.spec
     if command.speed > spec.drive_speed * (1 + 1e-9):
         raise BadCommandError(f"drive speed {command.speed:.2f} m/s is above {spec.name}'s {spec.drive_speed:.2f} m/s")
     length = float(np.linalg.norm(command.translation_in_hex))
@@ -154,8 +155,23 @@ def _drive(spec: RobotSpec, command: Drive, motors: Joints) -> Stretch:
         return top / DRIVE_ACCELERATION + (way - ramp) / top
 
     half = up_to(0.5 * length)
-    times = np.array([up_to(c) if c <= 0.5 * length else 2.0 * half - up_to(length - c) for c in covered])
+    steer = _steering(kin, command, motors) / spec.speed_loaded if length > 0.0 else 0.0
+    times = np.array([up_to(c) if c <= 0.5 * length else 2.0 * half - up_to(length - c) for c in covered]) + steer
+    times[0], times[-1] = 0.0, times[-1] + HALT + steer
     return Stretch(command=command, times=times, motors=np.repeat(motors[None], len(times), axis=0))
+
+
+def _steering(kin: Kinematics, command: Drive, motors: Joints) -> float:
+    """By how much the ankle turns that has to turn most, so that all wheels roll along the way [rad]."""
+    across, turns = float(np.arctan2(command.translation_in_hex[0], -command.translation_in_hex[1])), []
+    for leg in range(LEGS):
+        axle = kin.leg_wheel(leg, motors[leg]).rotation[:, 1]
+        turn = float((np.arctan2(axle[1], axle[0]) - across + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
+        angle = motors[leg, -1] + turn
+        if not kin.spec.lower[-1] <= angle <= kin.spec.upper[-1]:
+            raise OutOfReachError(f"leg {leg + 1} cannot steer to {np.rad2deg(angle):.0f} deg", leg)
+        turns.append(abs(turn))
+    return max(turns)
 
 
 def _pieces(length: float, spacing: float) -> int:
