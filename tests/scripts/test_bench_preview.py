@@ -24,7 +24,6 @@ def bench():
 
 
 @pytest.mark.slow
-@pytest.mark.ci
 def test_every_kind_of_fault_is_put_in_and_found_and_sound_motions_raise_no_alarm(bench, capsys):
     arguments = ["--robots", "sdm_b", "--scenario", "calibration_yard", "--motions", "3", "--mock-motions", "3", "--faults", "10", "--json"]
     assert bench.main(arguments) == 0
