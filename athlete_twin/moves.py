@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Callable, Generator
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import wraps
 from typing import Any, ParamSpec
@@ -17,24 +17,22 @@ from typing import Any, ParamSpec
 import numpy as np
 
 from athlete_twin.errors import KinematicsError
-from athlete_twin.geometry.arrays import Joints, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, Vec3
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, JointMove, LegMove
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.leg_timing import leg_timing
-from athlete_twin.model.reach import all_legs_ik, leg_ik
-from athlete_twin.model.spec import LEGS
+from athlete_twin.model.straight_moves import (
+    BRANCH_TOLERANCE,
+    DESCENT_SPEED,
+    WHEEL_SPEED,
+    BodyWay,
+    LegWay,
+    OutOfReachError,
+)
 
-WHEEL_SPEED = 0.15
-"""of straight moves at most [m/s]"""
-DESCENT_SPEED = 0.06
-"""of a guarded descent: a tyre takes 1 kN/m x 0.06 m/s x one tick more than asked for [m/s]"""
-BRANCH_TOLERANCE = 0.03
-"""a straight move starts only where the closed-form solution agrees with the joints this well [rad]"""
 PACING_TRIES = 20
 """to find a step within the joints' speed: at most half of the one before from the fourth on, so none is found only where joints jump"""
-CHECKED_POINTS = 16
-"""of a path checked for reach before it begins"""
 AIRBORNE_LOAD = 120.0
 """a wheel whose inferred load is below this counts as off the ground [N]"""
 
@@ -148,26 +146,22 @@ def joint_move(kin: Kinematics, command: JointMove, start: Joints, dt: float) ->
 def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Steps:
     """One wheel along a straight line in hex, with its guard."""
     leg = command.leg
-    pose = kin.leg_wheel(leg, start[leg])
-    origin, direction = pose.translation, pose.rotation[:, 0]
-    span = command.wheel_in_hex - origin
-    length = float(np.linalg.norm(span))
-    _check_reach(kin, start, leg, origin + np.linspace(0.0, 1.0, CHECKED_POINTS)[:, None] * span, direction)
+    with _faults():
+        way = LegWay.of(kin, command, start)
+    length = way.length
     loaded = command.guard != "none"
     speed = (DESCENT_SPEED if command.guard == "contact" else WHEEL_SPEED) * command.speed_scale
     fraction, q = 0.0, start.copy()
     sensed = yield q
     posed = start.copy()
-    posed[leg] = _solve(kin, leg, origin, direction)
+    posed[leg] = way.at(0.0)
     for q in _into_posture(start, posed, kin.spec.speed_loaded * command.speed_scale * dt):
         sensed = yield q
     tare = vertical_load(kin, leg, sensed) if command.guard == "contact" else 0.0
     while fraction < 1.0:
         rate = (kin.spec.speed_loaded if loaded else kin.spec.speed_unloaded) * command.speed_scale
         step = min(speed * dt / max(length, 1e-9), 1.0 - fraction)
-        fraction, target = _paced(
-            lambda f: _solve(kin, leg, origin + f * span, direction), q[leg], fraction, step, rate * dt, leg
-        )
+        fraction, target = _paced(way.at, q[leg], fraction, step, rate * dt, leg)
         q = q.copy()
         q[leg] = target
         sensed = yield q
@@ -196,16 +190,9 @@ def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Ste
 @copyable
 def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> Steps:
     """The chassis along a line and about an axis; every wheel stays where it is, but for its commanded offset."""
-    poses = [kin.leg_wheel(leg, start[leg]) for leg in range(LEGS)]
-    wheels = np.array([p.translation for p in poses])
-    directions = np.array([p.rotation[:, 0] for p in poses])
-    size = float(np.linalg.norm(command.translation_in_hex))
-    size = max(size, 2.0 * float(np.linalg.norm(command.rotvec_in_hex)), float(np.abs(command.wheel_offsets_in_hex).max()))
-    posed = _body_pose(kin, command, wheels, directions, 0.0)
-    for leg in range(LEGS):
-        _check_posture(leg, posed[leg], start[leg])
-    for fraction in np.linspace(0.0, 1.0, CHECKED_POINTS)[1:]:
-        _body_pose(kin, command, wheels, directions, fraction)
+    with _faults():
+        way = BodyWay.of(kin, command, start)
+        posed, size = way.at(0.0), way.length
     if size == 0.0:
         return
     q, fraction = start.copy(), 0.0
@@ -214,9 +201,7 @@ def body_move(kin: Kinematics, command: BodyMove, start: Joints, dt: float) -> S
         yield q
     while fraction < 1.0:
         step = min(WHEEL_SPEED * dt / size, 1.0 - fraction)
-        fraction, q = _paced(
-            lambda f: _body_pose(kin, command, wheels, directions, f), q, fraction, step, limit, -1
-        )
+        fraction, q = _paced(way.at, q, fraction, step, limit, -1)
         yield q
 
 
@@ -235,7 +220,8 @@ def _paced(
     The angles of a way may jump where a rule of the drawings takes over from another: such a small jump is spread over ticks.
     """
     for k in range(PACING_TRIES):
-        target = angles_at(fraction + step)
+        with _faults():
+            target = angles_at(fraction + step)
         change = float(np.abs(target - now).max())
         if change <= limit:
             return fraction + step, target
@@ -247,43 +233,10 @@ def _paced(
     )
 
 
-def _body_pose(
-    kin: Kinematics, command: BodyMove, wheels: Wheels, directions: Wheels, fraction: float
-) -> Joints:
-    start_from_hex = SE3.from_rotvec(fraction * command.rotvec_in_hex, fraction * command.translation_in_hex)
-    hex_from_start = start_from_hex.inverse()
-    targets = hex_from_start.apply(wheels) + fraction * command.wheel_offsets_in_hex
-    links = hex_from_start.rotate(directions)
-    joints, ok = all_legs_ik(kin.spec, targets, last_link_in_hex=links)
-    if not ok.all():
-        leg = int(np.argmin(ok))
-        raise _unreachable(leg, targets[leg])
-    return joints
-
-
-def _solve(kin: Kinematics, leg: int, wheel_in_hex: Vec3, last_link_in_hex: Vec3) -> np.ndarray:
-    q, ok = leg_ik(kin.spec, leg, wheel_in_hex[None], last_link_in_hex=last_link_in_hex)
-    if not ok[0]:
-        raise _unreachable(leg, wheel_in_hex)
-    return np.asarray(q[0])
-
-
-def _unreachable(leg: int, wheel_in_hex: Vec3) -> MoveFailedError:
-    return MoveFailedError("unreachable", f"leg {leg + 1} cannot put its wheel at {np.round(wheel_in_hex, 3)} in hex", leg)
-
-
-def _check_reach(kin: Kinematics, start: Joints, leg: int, points: np.ndarray, direction: Vec3) -> None:
-    _check_posture(leg, _solve(kin, leg, points[0], direction), start[leg])
-    for point in points[1:]:
-        _solve(kin, leg, point, direction)
-
-
-def _check_posture(leg: int, solved: np.ndarray, now: np.ndarray) -> None:
-    off = float(np.abs(solved - now).max())
-    if off > BRANCH_TOLERANCE:
-        raise MoveFailedError(
-            "unreachable",
-            f"leg {leg + 1} is {np.rad2deg(off):.1f} deg off the posture of straight moves (rolls zero, knee up); "
-            "bring it there with a joint move first",
-            leg,
-        )
+@contextmanager
+def _faults() -> Generator[None, None, None]:
+    """What a way says of reach is the executive's fault."""
+    try:
+        yield
+    except OutOfReachError as e:
+        raise MoveFailedError("unreachable", str(e), e.leg) from e

@@ -21,6 +21,7 @@ from envs.env import Body, MissionEnv
 from envs.rewards import RewardConfig
 from envs.spaces import FAR, NEVER, Observation, bounded
 from planner.decisions import DECISIONS, Decision, DecisionKind, GroundAgent, Proposal
+from planner.preview.preview import FAULTS
 
 PREVIEW_POSES = 16
 """of the previewed motion, evenly spaced"""
@@ -62,8 +63,10 @@ class OperatorEnv(MissionEnv):
     | `footfall_in_world` | (3,) | place of the patch [m] |
     | `predicted_margin`, `predicted_sag` | (1,) | [m]; 0 for not known |
     | `world_from_hex` | (6,) | believed chassis |
-    | `preview_joints` | (16, 6, dof) | of the motion, evenly spaced [rad] |
+    | `preview_times` | (16,) | evenly over the sequence, after it begins [s] |
+    | `preview_joints` | (16, 6, dof) | then [rad] |
     | `preview_world_from_hex` | (16, 6) | the same of the chassis |
+    | `preview_faults` | MultiBinary(10) | whether the preview finds a fault of each kind of `planner.preview.preview.FAULTS` |
     | `map_height` | (80, 80) | cells of 0.1 m round the believed chassis, first index along x of `world` [m] |
     | `map_known`, `map_green` | (80, 80) uint8 | whether seen, whether a wheel may stand there |
 
@@ -242,8 +245,10 @@ def proposal_space(spec: RobotSpec) -> gym.spaces.Dict:
             "predicted_margin": within(FAR, 1),
             "predicted_sag": within(FAR, 1),
             "world_from_hex": within(FAR, 6),
+            "preview_times": gym.spaces.Box(0.0, NEVER, (k,), np.float32),
             "preview_joints": within(2 * np.pi, k, LEGS, spec.dof),
             "preview_world_from_hex": within(FAR, k, 6),
+            "preview_faults": gym.spaces.MultiBinary(len(FAULTS)),
             "map_height": within(FAR, n, n),
             "map_known": gym.spaces.Box(0, 1, (n, n), np.uint8),
             "map_green": gym.spaces.Box(0, 1, (n, n), np.uint8),
@@ -268,16 +273,19 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
         "predicted_margin": np.zeros(1, dtype=np.float32),
         "predicted_sag": np.zeros(1, dtype=np.float32),
         "world_from_hex": np.zeros(6, dtype=np.float32),
+        "preview_times": np.zeros(k, dtype=np.float32),
         "preview_joints": np.zeros((k, LEGS, spec.dof), dtype=np.float32),
         "preview_world_from_hex": np.zeros((k, 6), dtype=np.float32),
+        "preview_faults": np.zeros(len(FAULTS), dtype=np.int8),
         "map_height": np.zeros((n, n), dtype=np.float32),
         "map_known": np.zeros((n, n), dtype=np.uint8),
         "map_green": np.zeros((n, n), dtype=np.uint8),
     }
     if proposal is None:
         return out
-    rows = np.rint(np.linspace(0, len(proposal.preview_joints) - 1, k)).astype(int)
-    poses = [proposal.preview_world_from_hex[i] for i in rows]
+    times = np.linspace(0.0, proposal.preview.duration, k)
+    moments = [proposal.preview.at(float(at)) for at in times]
+    codes = {fault.code for fault in proposal.preview.faults}
     here = proposal.world_from_hex
     offsets = (np.arange(n) - 0.5 * (n - 1)) * MAP_CELL
     xy = np.stack(np.meshgrid(here.translation[0] + offsets, here.translation[1] + offsets, indexing="ij"), axis=-1)
@@ -291,8 +299,10 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
         "predicted_margin": bounded(np.nan_to_num([proposal.predicted_margin]), FAR),
         "predicted_sag": bounded(np.nan_to_num([proposal.predicted_sag]), FAR),
         "world_from_hex": _six(here),
-        "preview_joints": bounded(proposal.preview_joints[rows], 2 * np.pi),
-        "preview_world_from_hex": np.array([_six(p) for p in poses]),
+        "preview_times": np.minimum(times, NEVER).astype(np.float32),
+        "preview_joints": bounded(np.array([moment.joints for moment in moments]), 2 * np.pi),
+        "preview_world_from_hex": np.array([_six(moment.world_from_hex) for moment in moments]),
+        "preview_faults": np.array([code in codes for code in FAULTS], dtype=np.int8),
         "map_height": bounded(np.where(known, heights, 0.0), FAR),
         "map_known": known.astype(np.uint8),
         "map_green": (known & proposal.footfall_ok[ix, iy]).astype(np.uint8),

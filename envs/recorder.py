@@ -12,6 +12,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
 
@@ -189,13 +190,15 @@ class Recorder:
             "predicted_clearance": proposal.predicted_clearance,
             "unknown_share": proposal.unknown_share,
             "text": proposal.text,
+            "faults": [asdict(fault) for fault in proposal.preview.faults],
         }
         self._put("/operator/shown", content, t)
         transform = frame_transform(t, "world", "hex_believed", proposal.world_from_hex)
         self._put("/ground/chassis", transform, t, kind="foxglove.FrameTransform")
-        poses = poses_in_frame(t, "world", proposal.preview_world_from_hex)
+        poses = poses_in_frame(t, "world", proposal.preview.world_from_hex)
         self._put("/ground/preview", poses, t, kind="foxglove.PosesInFrame")
-        self._put("/ground/preview_joints", {"index": proposal.index, "joints": proposal.preview_joints}, t)
+        preview = proposal.preview
+        self._put("/ground/preview_joints", {"index": proposal.index, "times": preview.times, "joints": preview.joints}, t)
         grid, ok = cropped(proposal)
         self._put("/ground/terrain", grid_message(t, grid, {"footfall_ok": ok}), t, kind="foxglove.Grid")
         self._writer.flush()

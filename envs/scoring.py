@@ -80,24 +80,22 @@ class Scorer:
         self._localisation_errors.append(float(np.linalg.norm(error)))
         self._map = proposal.terrain
 
-    def completed(self, proposal: Proposal, truth: TruthView, *, wheels_in_hex: np.ndarray) -> None:
+    def completed(self, proposal: Proposal, truth: TruthView) -> None:
         """Take in the end of a motion that was proposed and carried out.
 
         Args:
             proposal: as it was approved.
             truth: when the executive reported the sequence completed.
-            wheels_in_hex: axles in hex by the drawings at the end of the preview, shape (6, 3) [m].
         """
         if proposal.kind == "step":
             self.steps_of_leg[proposal.leg] += 1
             miss = truth.wheels_in_world[proposal.leg, :2] - proposal.footfall_in_world[:2]
             self._touchdown_errors.append(float(np.linalg.norm(miss)))
-        if len(proposal.preview_world_from_hex):
-            end = proposal.preview_world_from_hex[-1]
-            believed = _height_over_ground(end, end.apply(wheels_in_hex), proposal.terrain)
-            true = _height_over_ground(truth.world_from_hex, truth.wheels_in_world, self.grid)
-            if np.isfinite(believed - true):
-                self._sag_errors.append(abs(believed - true))
+        preview = proposal.preview
+        believed = _height_over_ground(preview.world_from_hex[-1], preview.wheels_in_world[-1], proposal.terrain)
+        true = _height_over_ground(truth.world_from_hex, truth.wheels_in_world, self.grid)
+        if np.isfinite(believed - true):
+            self._sag_errors.append(abs(believed - true))
 
     @property
     def gait_cycles(self) -> int:

@@ -18,7 +18,6 @@ import numpy as np
 from athlete_twin.errors import ConfigError, PhysicsError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.link import DelayedLink, LinkConfig
-from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.spec import RobotSpec
 from athlete_twin.robot import SimulatedRobot, TrackView, TruthView
 from envs.mask_score import MaskScore
@@ -164,7 +163,6 @@ class Trial:
             start=truth.world_from_hex.translation[:2].copy(),
             datum=float(np.mean(self.grid.sample(truth.wheels_in_world[:, :2]))),
         )
-        self._kin = Kinematics(self.spec)
         self._tipped = False
         self._last_completed = -1
         self._written = [0, 0, 0]
@@ -266,8 +264,7 @@ class Trial:
             proposal = self.mission.approved.get(sequence_id)
             if proposal is not None:
                 self._last_completed = sequence_id
-                wheels = self._kin.wheels_in_hex(proposal.preview_joints[-1])
-                self.scorer.completed(proposal, truth, wheels_in_hex=wheels)
+                self.scorer.completed(proposal, truth)
 
     def _sample(self, truth: TruthView) -> None:
         margins = self.scorer.sample(truth)

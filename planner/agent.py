@@ -42,6 +42,8 @@ from planner.gait.step_search import Ground, StepRequest, on_path, search_step
 from planner.gait.survey import seeing, survey_commands
 from planner.motion.collision import LegCollision
 from planner.motion.cornering import free_corner_tolerance
+from planner.preview.foresee import foresee, known_ground
+from planner.preview.preview import Preview
 from planner.recovery import LOWERINGS, Recovery
 from planner.route.drive import DrivePlan, plan_drive
 from planner.route.guide import Guide, Way, refusals
@@ -181,6 +183,14 @@ class GroundAgent:
         if self._proposal is not None:
             return self._proposal
         return self._propose(t)
+
+    def preview(self, sequence: CommandSequence, belief: Belief, terrain: HeightGrid) -> Preview:
+        """What a sequence would do from a state of the robot, on believed heights that may be unknown (NaN) in places."""
+        with self._timer("preview"):
+            return foresee(
+                self.kin, belief, sequence, terrain=known_ground(terrain, belief), springs=self.springs, payload_kg=self._payload,
+                docks=self.config.step.sag.docks,
+            )  # fmt: skip
 
     def decide(self, decision: Decision, t: float) -> CommandSequence | None:
         """Apply the operator's answer to the standing proposal; the sequence to send, or None when nothing goes up."""
@@ -440,11 +450,11 @@ class GroundAgent:
         if isinstance(aside, NoAside):
             return aside
         self._aside = aside
+        sequence = self._as_sequence([aside.command], t, cameras=self._cameras(None, belief))
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=-1,
             footfall_in_world=aside.world_from_hex[-1].translation.copy(),
-            sequence=self._as_sequence([aside.command], t, cameras=self._cameras(None, belief)),
-            preview_joints=aside.preview_joints, preview_world_from_hex=aside.world_from_hex,
+            sequence=sequence, preview=self.preview(sequence, belief, ground.filled),
             terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=aside.margin, predicted_sag=0.0, text=aside.text,
@@ -519,7 +529,7 @@ class GroundAgent:
         self._plan = None
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=-1, footfall_in_world=belief.world_from_hex.translation.copy(),
-            sequence=sequence, preview_joints=belief.joints[None].copy(), preview_world_from_hex=(belief.world_from_hex,),
+            sequence=sequence, preview=self.preview(sequence, belief, flat),
             terrain=flat, footfall_ok=np.zeros((3, 3), dtype=bool), cost=np.full((3, 3), np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=float("nan"), predicted_sag=0.0,
             text="look around: pictures from all cameras, nodding and turning on planted wheels",
@@ -533,13 +543,11 @@ class GroundAgent:
         # The same corners, cut as they were on the way there.
         back = JointMove(leg=plan.leg, waypoints=waypoints, corner_tolerance=plan.swing_corner_tolerance)
         sequence = self._as_sequence([back], t, cameras=look)
-        preview = np.repeat(belief.joints[None], len(waypoints) + 1, axis=0)
-        preview[1:, plan.leg] = waypoints
         self._plan = None
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=plan.leg,
             footfall_in_world=belief.world_from_hex.apply(wheel_in_hex) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0]),
-            sequence=sequence, preview_joints=preview, preview_world_from_hex=(belief.world_from_hex,) * len(preview),
+            sequence=sequence, preview=self.preview(sequence, belief, ground.filled),
             terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
@@ -556,7 +564,7 @@ class GroundAgent:
         if plan.lift_in_hex is None:
             return self._as_proposal(plan, belief, ground, t)
         everything = tuple(c.name for c in self.spec.cameras if c.on_chassis)
-        step, pose = self.config.step, plan.world_from_hex_swing
+        step = self.config.step
         carried = plan.world_from_leg_swing
         collision = LegCollision(self.spec, ground.filled, carried, belief.joints, plan.leg, step.collision)
         up = raised_path(self.kin, plan, belief, collision, config=self.config.look, payload_kg=self._payload)
@@ -567,16 +575,14 @@ class GroundAgent:
         )  # fmt: skip
         if len(up) > 1:
             commands.append(JointMove(leg=plan.leg, waypoints=up[1:], corner_tolerance=tolerance))
-        preview = np.repeat(belief.joints[None], len(up) + 1, axis=0)
-        preview[1:, plan.leg] = up
         # Its swing is the way up: that is what leads back, should the leg strike something on it.
         raised_in = leg_timing(self.spec, up, corner_tolerance=tolerance).duration
         self._plan, self._lift = None, replace(plan, swing=up, swing_corner_tolerance=tolerance, swing_time=raised_in)
+        sequence = self._as_sequence(commands, t, cameras=everything)
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=plan.leg,
             footfall_in_world=belief.contacts_in_world[plan.leg].copy(),
-            sequence=self._as_sequence(commands, t, cameras=everything),
-            preview_joints=preview, preview_world_from_hex=(belief.world_from_hex, *(pose,) * len(up)),
+            sequence=sequence, preview=self.preview(sequence, belief, ground.filled),
             terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=plan.swing_margin, predicted_sag=plan.sag,
@@ -592,12 +598,11 @@ class GroundAgent:
         x, y = belief.world_from_hex.translation[:2] + drive.way
         cut = f" (cut: {drive.cut_by})" if drive.cut_by else ""
         self._drive = drive
+        sequence = self._as_sequence([drive.command], t, cameras=everything)
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=-1,
             footfall_in_world=drive.world_from_hex[-1].translation.copy(),
-            sequence=self._as_sequence([drive.command], t, cameras=everything),
-            preview_joints=np.repeat(belief.joints[None], len(drive.world_from_hex), axis=0),
-            preview_world_from_hex=drive.world_from_hex,
+            sequence=sequence, preview=self.preview(sequence, belief, ground.filled),
             terrain=ground.heights, footfall_ok=ground.footfalls.allowed,
             cost=np.where(ground.footfalls.allowed, ground.footfalls.cost, np.nan),
             world_from_hex=belief.world_from_hex, predicted_margin=drive.margin, predicted_sag=drive.uneven,
@@ -684,8 +689,7 @@ class GroundAgent:
             leg=plan.leg,
             footfall_in_world=plan.footfall_in_world.copy(),
             sequence=sequence,
-            preview_joints=plan.preview_joints,
-            preview_world_from_hex=plan.preview_world_from_hex,
+            preview=self.preview(sequence, belief, ground.filled),
             terrain=ground.heights,
             footfall_ok=footfalls.allowed,
             cost=np.where(footfalls.allowed, footfalls.cost, np.nan),

@@ -19,6 +19,7 @@ from athlete_twin.geometry.arrays import Vec3
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Message
+from planner.preview.preview import Preview
 
 DecisionKind = Literal["approve", "reject", "edit_footfall", "choose_leg", "choose_cameras", "wait", "stop"]
 DECISIONS: tuple[str, ...] = get_args(DecisionKind)
@@ -41,10 +42,8 @@ class Proposal:
     """believed contact point the wheel shall come down on; of a shift, the hex origin at its end [m]"""
     sequence: CommandSequence
     """what goes up when it is approved, sag-compensated"""
-    preview_joints: Float[np.ndarray, "k 6 dof"]
-    """joints along the motion, as believed after sag [rad]"""
-    preview_world_from_hex: tuple[SE3, ...]
-    """chassis along the motion, one for each row of `preview_joints`"""
+    preview: Preview
+    """the robot over the time of the sequence, and what would go wrong"""
     terrain: HeightGrid
     """believed ground, NaN where unknown"""
     footfall_ok: Bool[np.ndarray, "nx ny"]
@@ -67,9 +66,6 @@ class Proposal:
     """of the ground under the wheel at its footfall, so much was never seen, 0 to 1"""
 
     def __post_init__(self) -> None:
-        rows, poses = len(self.preview_joints), len(self.preview_world_from_hex)
-        if rows != poses:
-            raise ConfigError(f"preview has {rows} rows of joints but {poses} chassis poses")
         for name in ("footfall_ok", "cost"):
             shape = getattr(self, name).shape
             if shape != self.terrain.shape:

@@ -19,7 +19,9 @@ SCRIPTED_OPERATORS = ("approve_all", "cautious", "slow", "distracted")
 
 @dataclass(frozen=True, kw_only=True)
 class Cautious:
-    """Rejects, with the reasons, what comes nearer to a limit than it likes; what nobody foresaw (NaN) it cannot judge.
+    """Rejects, with the reasons, what comes nearer to a limit than it likes and what the preview finds a fault in.
+
+    What nobody foresaw (NaN) it cannot judge.
 
     At a threshold itself it approves.
     """
@@ -53,6 +55,7 @@ class Cautious:
         )
         reasons = [f"{name} {value:.3f} {of}, wants at least {limit:g}" for name, value, limit, of in too_little if value < limit]
         reasons += [f"{name} {value:.3f} {of}, wants at most {limit:g}" for name, value, limit, of in too_much if value > limit]
+        reasons += [f"{fault.code}: {fault.text}" for fault in proposal.preview.faults]
         if reasons:
             return Decision(kind="reject", reason="; ".join(reasons)), self.seconds
         return Decision(kind="approve"), self.seconds

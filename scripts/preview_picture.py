@@ -25,10 +25,10 @@ def save_preview(proposal: Proposal, robot: str, path: Path) -> None:
     kin = kinematics(robot)
     figure, (top, side) = plt.subplots(1, 2, figsize=(13, 6.2), width_ratios=(1.0, 1.1), layout="constrained")
     _top_view(top, proposal)
-    count = len(proposal.preview_joints)
+    preview, count = proposal.preview, len(proposal.preview.times)
     for shade, k in enumerate(np.unique(np.linspace(0, count - 1, min(count, DRAWN_POSES)).astype(int))):
-        world_from_hex = proposal.preview_world_from_hex[k]
-        poses = kin.link_poses(proposal.preview_joints[k])
+        world_from_hex = preview.world_from_hex[k]
+        poses = kin.link_poses(preview.joints[k])
         for leg in range(LEGS):
             names = [f"leg{leg + 1}_{joint}" for joint in kin.spec.joint_names] + [f"wheel{leg + 1}"]
             line = world_from_hex.apply(np.array([poses[n].translation for n in names]))
@@ -74,7 +74,7 @@ def _top_view(axes: object, proposal: Proposal) -> None:
     colours[known] = (np.where(ok[..., None], green, red) * shade[..., None])[known]
     extent = (float(x[0]), float(x[-1]), float(y[0]), float(y[-1]))
     axes.imshow(np.clip(colours, 0, 1).transpose(1, 0, 2), origin="lower", extent=extent)
-    path = np.array([p.translation for p in proposal.preview_world_from_hex])
+    path = np.array([p.translation for p in proposal.preview.world_from_hex])
     axes.plot(path[:, 0], path[:, 1], "k.-", lw=1, ms=3)
     axes.plot(*proposal.footfall_in_world[:2], "*", color="gold", mec="k", ms=16)
     axes.set(xlabel="x [m]", ylabel="y [m]", title="green: a wheel may stand; red: not; grey: unseen")

@@ -40,6 +40,8 @@ class TerminalOperator:
             f"torque {_percent(proposal.predicted_torque_fraction)} of the limit, "
             f"{_percent(proposal.unknown_share)} of the ground under the wheel unseen; {picture}"
         )
+        for fault in proposal.preview.faults:
+            self.console.print(f"{fault.code} after {fault.t:.0f} s: {fault.text}", style="bold red", markup=False)
         while True:
             try:
                 typed = self.console.input(f"{HELP}\n> ", markup=False)

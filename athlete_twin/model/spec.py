@@ -141,6 +141,8 @@ class RobotSpec:
     """vertical spring a foot, [SunSpiral2012] eq. 3 [N/m]"""
     believed_tyre_stiffness: float
     """vertical spring of the tyre alone [N/m]"""
+    believed_tyre_tangent: float
+    """of one tyre along gravity, by how much an axle moves as load comes or goes while another leg is in the air [N/m]"""
     believed_dock_twist: float | None
     """of each of the docks, None without docks [N m/rad]"""
     believed_lateral_ratio: float
@@ -255,6 +257,7 @@ def _drawn(content: Entries) -> RobotSpec:
         hip_pitch_rule=_hip_pitch_rule(stance),
         believed_foot_stiffness=figure(belief["foot_stiffness_z"]),
         believed_tyre_stiffness=figure(belief["tyre_stiffness_z"]),
+        believed_tyre_tangent=figure(belief["tyre_tangent_z"]),
         believed_lateral_ratio=figure(belief["lateral_ratio"]),
         believed_sink=figure(belief["sink"]),
         believed_map_sigma=figure(belief["map_sigma"]),

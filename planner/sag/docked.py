@@ -15,7 +15,6 @@ they would on a robot. The twin's dock also bends, as a second linear spring, wh
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +26,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.leg_coms import leg_coms_in_hex
 from athlete_twin.model.spec import LEGS
+from planner.sag.docked_equations import balance, derivative
 from planner.sag.firmness import Hinge, is_firm
 from planner.sag.sag_model import AIRBORNE, DOWN, MAX_TILT, SOFT_CONTACT, FootSprings, levelling, solve_sag
 from planner.sag.spring_equations import spring_forces
@@ -35,10 +35,6 @@ TWIST = np.array([0.0, 1.0, 0.0])
 """axis of a dock's twist in hex: across its plane, the Tri-ATHLETEs lying left and right of the pallet"""
 BALANCED = 1e-6
 """generalised force that is left, over weight and size, at a solution"""
-
-
-STEP = 1e-6
-"""by which unknowns are varied for derivatives [m], [rad]"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -181,35 +177,22 @@ def solve_docked(
     owners, loads = np.array([*(piece.legs[0] for piece in pieces), -1]), weights[:, None] * down
     size = float(np.linalg.norm(feet_in_hex - feet_in_hex.mean(axis=0), axis=1).mean())
 
-    def pressed(feet: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forces (6, 3) on feet [N] and what their springs are as they stand, shape (6, 3, 3) [N/m]."""
-        moved = (feet - feet_in_hex) @ level_from_hex.T
-        forces, side, _, bears = spring_forces(moved, stiffness, lateral_ratio, above, True, SOFT_CONTACT)
-        along = np.column_stack([side, side, np.where(bears, stiffness, 0.0)])
-        return forces @ level_from_hex, level_from_hex.T @ (along[:, :, None] * level_from_hex)
-
-    def balance(x: np.ndarray) -> np.ndarray:
-        pose, twists = _pose(x), x[6:]
-        feet = _placed(feet_in_hex, np.arange(LEGS), pose, pieces, twists)
-        forces, _ = pressed(feet)
-        centres = _placed(coms, owners, pose, pieces, twists)
-        about = pose.translation
-        total = forces.sum(axis=0) + loads.sum(axis=0)
-        moment = np.cross(feet - about, forces).sum(axis=0) + np.cross(centres - about, loads).sum(axis=0)
-        twisting = []
-        for number, piece in enumerate(pieces):
-            axis, through = pose.rotate(piece.axis_in_hex), pose.apply(piece.place_in_hex)
-            mine = list(piece.legs)
-            turning = np.cross(feet[mine] - through, forces[mine]).sum(axis=0) + np.cross(centres[number] - through, loads[number])
-            twisting.append(float(axis @ turning) - twist_stiffness * x[6 + number])
-        return np.concatenate([total / weight, moment / (weight * size), np.array(twisting) / (weight * size)])
-
+    hung = _hung(pieces)
+    fixed = (
+        np.array(feet_in_hex, dtype=float), hung[:LEGS], coms, hung[LEGS:], loads, np.array([p.place_in_hex for p in pieces], dtype=float),
+        np.array([p.axis_in_hex for p in pieces], dtype=float), float(twist_stiffness), np.ascontiguousarray(level_from_hex), stiffness,
+        float(lateral_ratio), above, SOFT_CONTACT, float(weight), size,
+    )  # fmt: skip
     start = rigid.unsagged_from_sagged
     begin = np.concatenate([start.translation, start.rotvec(), np.zeros(len(pieces))])
-    found = root(balance, begin, jac=lambda x: _derivative(balance, x), method="hybr", options={"xtol": 1e-12})
-    pose, twists = _pose(found.x), found.x[6:]
+    found = root(balance, begin, args=fixed, jac=derivative, method="hybr", options={"xtol": 1e-12})
+    pose, twists = SE3.from_rotvec(found.x[3:6], found.x[:3]), found.x[6:]
     feet = _placed(feet_in_hex, np.arange(LEGS), pose, pieces, twists)
-    forces, bearing = pressed(feet)
+    forces, side, _, bears = spring_forces(
+        (feet - feet_in_hex) @ level_from_hex.T, stiffness, lateral_ratio, above, True, SOFT_CONTACT
+    )
+    forces, along = forces @ level_from_hex, np.column_stack([side, side, np.where(bears, stiffness, 0.0)])
+    bearing = level_from_hex.T @ (along[:, :, None] * level_from_hex)
     status = rigid.status
     if rigid.converged and not np.abs(found.fun).max() < BALANCED:
         status = "not_converged"
@@ -218,7 +201,7 @@ def solve_docked(
     elif rigid.converged:
         points = np.vstack([feet, _placed(coms, owners, pose, pieces, twists)])
         springs = np.concatenate([bearing, np.zeros((len(coms), 3, 3))])
-        firm = is_firm(points, np.vstack([forces, loads]), springs, _hung(pieces), _hinges(pose, pieces, twist_stiffness), size)
+        firm = is_firm(points, np.vstack([forces, loads]), springs, hung, _hinges(pose, pieces, twist_stiffness), size)
         turns = [pose.rotation, *(pose.compose(_hinge(p, float(t))).rotation for p, t in zip(pieces, twists, strict=True))]
         upright = min(float(down @ turn @ down) for turn in turns) >= np.cos(MAX_TILT)
         status = "converged" if upright and firm else "tips"
@@ -280,16 +263,6 @@ def _hinges(pose: SE3, pieces: tuple[Piece, ...], stiffness: float) -> tuple[Hin
     """The docks of a robot that stands at a pose."""
     places = ((pose.rotate(p.axis_in_hex), pose.apply(p.place_in_hex)) for p in pieces)
     return tuple(Hinge(axis=axis, through=through, stiffness=stiffness) for axis, through in places)
-
-
-def _derivative(function: Callable[[np.ndarray], np.ndarray], x: np.ndarray) -> np.ndarray:
-    """By central differences of one absolute step: unknowns that are zero at the start need no smaller one."""
-    steps = STEP * np.eye(len(x))
-    return np.array([(function(x + step) - function(x - step)) / (2.0 * STEP) for step in steps]).T
-
-
-def _pose(x: np.ndarray) -> SE3:
-    return SE3.from_rotvec(x[3:6], x[:3])
 
 
 def _hinge(piece: Piece, twist: float) -> SE3:

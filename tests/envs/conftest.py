@@ -24,6 +24,7 @@ from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import regular_stance
 from envs.mission import Mission
 from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplink, Waiting
+from planner.preview.foresee import posing
 
 PLAN_SECONDS, PAIR_SECONDS = 2.0, 1.0
 
@@ -103,8 +104,7 @@ class ScriptedAgent:
             leg=0,
             footfall_in_world=np.array([wheel[0], wheel[1], 0.0]),
             sequence=sequence,
-            preview_joints=np.array([joints, joints]),
-            preview_world_from_hex=(pose, pose),
+            preview=posing(self.kin, np.array([joints, joints]), (pose, pose), seconds=10.0),
             terrain=terrain,
             footfall_ok=np.ones((n, n), dtype=bool),
             cost=np.zeros((n, n)),

@@ -7,9 +7,11 @@ from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Wait
+from athlete_twin.model.kinematics import kinematics
 from planner.decisions import Proposal
 from planner.footfall import unknown_share
 from planner.operators import SCRIPTED_OPERATORS, Cautious, Distracted, Slow, ThinkTime, scripted_operator
+from planner.preview.foresee import posing
 
 
 def proposal(**changes):
@@ -17,7 +19,7 @@ def proposal(**changes):
     pose = SE3.identity()
     made = Proposal(
         index=0, t=0.0, kind="step", leg=0, footfall_in_world=np.array([1.0, 2.0, 0.0]), sequence=sequence,
-        preview_joints=np.zeros((1, 6, 6)), preview_world_from_hex=(pose,),
+        preview=posing(kinematics("sdm_b"), np.zeros((1, 6, 6)), (pose,)),
         terrain=HeightGrid(origin_x=0.0, origin_y=0.0, cell=1.0, heights=np.zeros((3, 3))),
         footfall_ok=np.ones((3, 3), dtype=bool), cost=np.zeros((3, 3)), world_from_hex=pose, predicted_margin=0.5,
         predicted_sag=0.05, text="a step", predicted_torque_fraction=0.5, predicted_clearance=0.2, unknown_share=0.0,

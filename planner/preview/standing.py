@@ -1,0 +1,176 @@
+"""Where the chassis stands, and every wheel, for given motors: the belief moved on by the contact springs.
+
+Place in the flow: belief -> `Stance` -> `foresee`, which asks it at every turn of a motion. The belief says where the robot stands now,
+sag and all; the springs say by how much that changes when a leg unloads, the chassis moves, or a wheel comes down elsewhere. A standing
+wheel stays where it is and gives way as its tyre does; what a change of loads brings sideways is `sag.leg_compliance`'s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from athlete_twin.geometry.arrays import Joints, PerLeg, PerLegFlag, Vec3, Wheels
+from athlete_twin.geometry.se3 import SE3
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.spec import LEGS
+from planner.belief import Belief
+from planner.sag.compensate import stand_on
+from planner.sag.docked import DockedSag, Docks
+from planner.sag.leg_compliance import held_response, patch_compliance
+from planner.sag.sag_model import AIRBORNE, FootSprings
+
+WORLD_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Standing:
+    """The robot at one moment, believed."""
+
+    world_from_hex: SE3
+    """the chassis; the pallet, of a robot with docks"""
+    world_from_leg: tuple[SE3, ...]
+    """for each leg the hex frame of what carries it: the chassis, or its deck twisted on its dock"""
+    forces: Wheels
+    """of the ground on the wheels, in the hex frame, shape (6, 3) [N]"""
+    loads: PerLeg
+    """their vertical part [N]"""
+    sideways_in_world: Wheels
+    """horizontal forces of the ground on the wheels that came since the start, shape (6, 3) [N]"""
+    status: str
+    """"converged", or why no such stance is: see `SagSolution.status`"""
+
+
+class Stance:
+    """The wheels that stand, and where the chassis is above them."""
+
+    def __init__(
+        self, kin: Kinematics, belief: Belief, *, springs: FootSprings, payload_kg: float = 0.0, docks: bool = True
+    ) -> None:
+        self.kin, self.belief = kin, belief
+        self.stands: PerLegFlag = belief.planted.copy()
+        self._springs, self._payload = springs, payload_kg
+        self._weight = (kin.spec.mass + payload_kg) * GRAVITY
+        self._docks = docks
+        solved = self._solve(belief.motors, belief.gravity_in_hex(), np.where(self.stands, 0.0, AIRBORNE))
+        self._world_from_unsagged = belief.world_from_hex.compose(solved.unsagged_from_sagged.inverse())
+        self._anchors = self._world_from_unsagged.apply(kin.wheels_in_hex(belief.motors))
+        self._axles = belief.world_from_hex.apply(kin.wheels_in_hex(belief.joints))
+        """of the standing wheels as they are now, in world [m]"""
+        self._loads = self._upward(solved.forces, belief.gravity_in_hex())
+        """under which they are there [N]"""
+        self._first_loads = self._loads.copy()
+        self._solved: dict[tuple[bytes, ...], Standing] = {}
+        self._landed = np.zeros(LEGS, dtype=bool)
+        """wheels that came down since the start"""
+        regular = kin.spec.wheel.radius - belief.loads / kin.spec.believed_tyre_stiffness
+        deeper = belief.contacts_in_world[:, 2] + regular - self._axles[:, 2]
+        self._sink = float(np.mean(deeper[belief.planted]))
+        """by which axles stand lower than tyres alone say, as believed of those on the ground [m]"""
+        gravity = belief.gravity_in_hex()
+        self._compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, gravity)
+        self._contacts_in_hex = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
+
+    def lands(self, leg: int, axle_in_world: Vec3, ground: float) -> None:
+        """A wheel touches ground of a height [m] there: from now on it stands, loaded or not."""
+        self.stands[leg] = True
+        self._anchors[leg] = np.append(axle_in_world[:2], ground + self.kin.spec.wheel.radius - self._sink)
+        self._landed[leg] = True
+        self._axles[leg] = self._anchors[leg]
+        self._loads[leg] = 0.0
+
+    def lifts(self, leg: int) -> None:
+        """A wheel leaves the ground."""
+        self.stands[leg] = False
+
+    def bears_at(self, leg: int) -> float:
+        """Height in world at which the spring of a wheel that stands, or stood last, begins to bear [m]."""
+        return float(self._anchors[leg, 2])
+
+    def rolled(self, way: Vec3, rise: PerLeg) -> None:
+        """All wheels stand elsewhere: `way` in world [m], and each higher by so much."""
+        move = np.asarray(way) + np.outer(rise, WORLD_UP)
+        self._anchors, self._axles = self._anchors + move, self._axles + move
+
+    def at(self, motors: Joints) -> Standing:
+        """The robot with its motors there, (6, dof) [rad], the wheels that stand where they stand."""
+        key = (motors.tobytes(), self.stands.tobytes(), self._anchors.tobytes())
+        if key not in self._solved:
+            self._solved[key] = self._at(motors)
+        return self._solved[key]
+
+    def _at(self, motors: Joints) -> Standing:
+        feet = self.kin.wheels_in_hex(motors)
+        fitted = self.stands
+        if fitted.sum() < 3:
+            pose = self._world_from_unsagged
+            still = np.zeros((LEGS, 3))
+            return self._standing(pose, pose, [pose] * LEGS, still, np.zeros(LEGS), still, "too_few_feet")
+        world_from_unsagged = _fit(feet[fitted], self._anchors[fitted])
+        lifts = np.where(fitted, world_from_unsagged.apply(feet)[:, 2] - self._anchors[:, 2], AIRBORNE)
+        gravity = -GRAVITY * world_from_unsagged.rotation.T @ WORLD_UP
+        solved = self._solve(motors, gravity, lifts)
+        loads = self._upward(solved.forces, gravity)
+        aside, sideways = self._aside(loads)
+        corrected = aside.compose(world_from_unsagged)
+        pose = corrected.compose(solved.unsagged_from_sagged)
+        if isinstance(solved, DockedSag):
+            carried = [corrected.compose(solved.unsagged_from_leg(leg)) for leg in range(LEGS)]
+        else:
+            carried = [pose] * LEGS
+        forces = pose.rotation.T @ corrected.rotation @ solved.forces.T
+        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, sideways, solved.status)
+
+    def axles(self, standing: Standing, joints: Joints) -> Wheels:
+        """Axles in world, shape (6, 3) [m]; `joints` behind the wind-up say where the legs in the air are."""
+        spec = self.kin.spec
+        stiffness = np.where(self._landed, spec.believed_tyre_stiffness, spec.believed_tyre_tangent)
+        out = self._axles - np.outer((standing.loads - self._loads) / stiffness, WORLD_UP)
+        out -= standing.sideways_in_world / (spec.believed_tyre_stiffness * spec.believed_lateral_ratio)
+        in_hex = self.kin.wheels_in_hex(joints)
+        for leg in np.flatnonzero(~self.stands | (standing.loads <= 0.0)):
+            out[leg] = standing.world_from_leg[leg].apply(in_hex[leg])
+        return out
+
+    def _standing(
+        self, world_from_unsagged: SE3, pose: SE3, carried: list[SE3], forces: Wheels, loads: PerLeg, sideways: Wheels, status: str
+    ) -> Standing:
+        self._world_from_unsagged = world_from_unsagged
+        return Standing(
+            world_from_hex=pose, world_from_leg=tuple(carried), forces=forces, loads=loads, sideways_in_world=sideways, status=status
+        )
+
+    def _solve(self, motors: Joints, gravity: Vec3, lifts: PerLeg):  # type: ignore[no-untyped-def]  # SagSolution | DockedSag
+        feet, com = self.kin.wheels_in_hex(motors), self.kin.com_in_hex(motors, self._payload)
+        docks = Docks.of(self.kin, motors) if self._docks else None
+        return stand_on(feet, com, self._weight, self._springs, lifts, gravity, docks)
+
+    @staticmethod
+    def _upward(forces: Wheels, gravity: Vec3) -> PerLeg:
+        return np.asarray(forces @ -gravity / np.linalg.norm(gravity))
+
+    def _aside(self, loads: PerLeg) -> tuple[SE3, Wheels]:
+        """What the unloading of wheels that stood at first does sideways, and the forces that come with it, in world."""
+        belief = self.belief
+        first = belief.planted & (self._first_loads > 0.0)
+        lost = np.where(first & ~(self.stands & (loads > 0.0)), 1.0, 0.0)
+        if not lost.any() or not belief.forces.any():
+            return SE3.identity(), np.zeros((LEGS, 3))
+        gravity = belief.gravity_in_hex()
+        standing = belief.planted & (lost == 0.0)
+        change = np.where(standing, loads - belief.forces @ -gravity / GRAVITY, 0.0)
+        response = held_response(
+            self._compliance, change, self._contacts_in_hex, standing, gravity,
+            released=np.where(lost[:, None] > 0.0, belief.forces, 0.0),
+        )  # fmt: skip
+        moved = belief.world_from_hex.compose(response.hex_from_moved).compose(belief.world_from_hex.inverse())
+        return moved, belief.world_from_hex.rotate(response.forces)
+
+
+def _fit(points: np.ndarray, places: np.ndarray) -> SE3:
+    """The rigid motion that takes points to places, in the least-squares sense."""
+    middle, centre = points.mean(axis=0), places.mean(axis=0)
+    rotation = Rotation.align_vectors(places - centre, points - middle)[0].as_matrix()
+    return SE3(rotation, centre - rotation @ middle)
