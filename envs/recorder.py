@@ -42,6 +42,10 @@ MAP_REACH = 4.0
 """of the believed map kept with each proposal, about the chassis: T12's foot radius and a step [m]"""
 
 
+LONGEST_SPAN = 1.0
+"""of mission time that is joined into one record [s]"""
+
+
 class Recorder:
     """Writes one trial's MCAP file."""
 
@@ -150,14 +154,19 @@ class Recorder:
         self._writer.flush()
 
     def booked(self, bin_: str, begin: float, end: float) -> None:
-        """The mission time from `begin` to `end` [s] counts as motion, ground, operator or link; neighbours are joined."""
+        """The mission time from `begin` to `end` [s] counts as motion, ground, operator or link.
+
+        Neighbours are joined until they make a second: what is not written a killed recording does not have.
+        """
         if end <= begin:
             return
         if self._span is not None and self._span[0] == bin_ and abs(begin - self._span[2]) < 1e-6:
-            self._span = (bin_, self._span[1], end)
-            return
-        self._end_span()
+            begin = self._span[1]
+        else:
+            self._end_span()
         self._span = (bin_, begin, end)
+        if end - begin >= LONGEST_SPAN:
+            self._end_span()
 
     def _end_span(self) -> None:
         if self._span is not None:

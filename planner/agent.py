@@ -16,6 +16,7 @@ import numpy as np
 
 from athlete_twin.geometry.arrays import Vec2, Vec3
 from athlete_twin.geometry.grid import HeightGrid
+from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import (
     Command,
     CommandSequence,
@@ -169,7 +170,7 @@ class GroundAgent:
             return Waiting(reason="first telemetry")
         if self._sent is not None:
             sent = self._sent
-            settled = self._telemetry.executive_state != "executing" and self._telemetry.t >= sent.sequence.t
+            settled = self._telemetry.executive_state != "executing" and self._telemetry.t >= max(sent.sequence.t, sent.ended_at)
             if not sent.outcome or not settled:
                 if sent.silent(t):
                     sent.sent(t)
@@ -272,6 +273,8 @@ class GroundAgent:
             self._recovery.reset()
             self._asides.stepped()
         self._belief = self._filter.update(self._telemetry)
+        if sent.fault is not None and sent.plan is not None and self._swayed is not None:
+            self._swayed = self._swayed + _swayed_so_far(sent.plan.shift, sent.plan.preview_world_from_hex[0], self._belief)
         fresh = self.config.fusion_method
         if sent.pairs and (fresh == "single_view" or (fresh == "lift_and_image" and sent.lift is not None)):
             self.eyes.forget(self._belief)
@@ -753,6 +756,14 @@ class GroundAgent:
     def _next_proposal(self) -> int:
         self._proposals += 1
         return self._proposals - 1
+
+
+def _swayed_so_far(shift: BodyShift, before: SE3, belief: Belief) -> Vec3:
+    """What a shift that broke off has displaced the chassis from its path by, in world [m]: as much as it went of its way."""
+    way = before.rotate(shift.translation_in_hex)[:2]
+    gone = (belief.world_from_hex.translation - before.translation)[:2]
+    share = float(np.clip(gone @ way / max(way @ way, 1e-9), 0.0, 1.0)) if way @ way > 1e-4 else 0.0
+    return np.asarray(share * before.rotate(shift.sway_in_hex))
 
 
 __all__ = ["GroundAgent", "Uplink"]

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import ConfigError
+from athlete_twin.model.spec import load_spec
 from planner.decisions import ApproveAll, Decision, Operator, Proposal
 
 SCRIPTED_OPERATORS = ("approve_all", "cautious", "slow", "distracted")
@@ -26,8 +27,8 @@ class Cautious:
     At a threshold itself it approves.
     """
 
-    min_margin: float = 0.30
-    """least stability margin along the motion, the rule for SDM-B [m]"""
+    margin_above_rule: float = 0.05
+    """of the stability margin along the motion over the robot's rule, which the planner itself keeps [m]"""
     max_torque_fraction: float = 0.90
     """of a joint's limit; the executive stops at 1"""
     min_clearance: float = 0.05
@@ -38,15 +39,16 @@ class Cautious:
     """taken for every answer [s]"""
 
     def __post_init__(self) -> None:
-        for name in ("min_margin", "max_torque_fraction", "min_clearance", "max_unknown_share", "seconds"):
+        for name in ("margin_above_rule", "max_torque_fraction", "min_clearance", "max_unknown_share", "seconds"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value >= 0.0):
                 raise ConfigError(f"cautious operator: {name} is {value}, must be finite and 0 or more")
 
     def decide(self, proposal: Proposal, _t: float) -> tuple[Decision, float]:
         """Approval, or a rejection that names every threshold crossed with its figure."""
+        least = load_spec(proposal.sequence.robot_id).min_support_margin + self.margin_above_rule
         too_little = (
-            ("margin", proposal.predicted_margin, self.min_margin, "m"),
+            ("margin", proposal.predicted_margin, least, "m"),
             ("clearance", proposal.predicted_clearance, self.min_clearance, "m"),
         )
         too_much = (

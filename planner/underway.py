@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from athlete_twin.messages import CommandSequence, Fault, Message, Receipt, StereoPair, Telemetry
 from planner.gait.aside import AsidePlan
 from planner.gait.step_plan import StepPlan
@@ -36,6 +38,8 @@ class Underway:
     outcome: str = ""
     """ "completed", "failed", "cancelled" or "refused"; empty while it may still run"""
     fault: Fault | None = None
+    ended_at: float = -np.inf
+    """robot time of the word that told the outcome: telemetry from then on shows what came of it [s]"""
     _completed: int = 0
     """commands known to be completed: the first so many"""
     _last_word: float | None = None
@@ -46,7 +50,7 @@ class Underway:
     def take(self, message: Message, t: float) -> range:
         """Take what came down at mission time `t` [s]; indices of the commands that are thereby known to be completed."""
         self._last_word = t
-        before = self._completed
+        before, running = self._completed, not self.outcome
         if isinstance(message, StereoPair):
             if message.state.sequence_id == self.sequence.sequence_id:
                 self.pairs.append(message)
@@ -59,6 +63,8 @@ class Underway:
             self._telemetry(message)
         elif isinstance(message, Telemetry) and self._repeated_at is not None and message.t >= self._repeated_at:
             self._gone(message)
+        if running and self.outcome:
+            self.ended_at = message.t
         self._completed = min(self._completed, len(self.sequence.commands))
         return range(before, max(before, self._completed))
 

@@ -4,6 +4,7 @@ import signal
 import struct
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -232,3 +233,16 @@ def test_unwritable_and_missing_recordings_are_refused(tmp_path):
         Recorder(Path("/proc/nowhere/trial.mcap"))
     with pytest.raises(RecordingError, match="no such recording"):
         list(read_recording(tmp_path / "none.mcap"))
+
+
+def test_mission_time_is_written_by_the_second_so_that_a_kill_takes_no_more(tmp_path):
+    path = tmp_path / "a.mcap"
+    with Recorder(path) as recorder:
+        edges = np.arange(0.0, 3.3, 0.3)
+        for begin, end in pairwise(edges):
+            recorder.booked("link", float(begin), float(end))
+        recorder.booked("motion", 3.0, 3.1)
+    spans = [r.content for r in read_recording(path) if r.topic == "/truth/mission_time"]
+    assert [s["begin"] for s in spans[1:]] == [s["end"] for s in spans[:-1]]
+    assert max(s["end"] - s["begin"] for s in spans) <= 1.2 + 1e-9
+    assert sum(s["end"] - s["begin"] for s in spans if s["bin"] == "link") == pytest.approx(3.0)

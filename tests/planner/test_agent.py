@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from athlete_twin.assets import named_toml, read_toml
+from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Receipt
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
-from planner.agent import GroundAgent
+from planner.agent import GroundAgent, _swayed_so_far
 from planner.config import planner_config
 from planner.decisions import Decision, NoStep, Proposal, Uplink, Waiting
 from planner.footfall import score_footfalls
+from planner.gait.step_plan import BodyShift
 from planner.gait.step_search import Ground, search_step
 from planner.underway import SILENCE
 
@@ -144,3 +146,13 @@ def test_a_leg_that_hides_the_ground_it_needs_is_lifted_to_look_once_where_it_st
         agent._sent = None  # as if it had come down again, and nothing been seen
     none = agent.next(1.0)
     assert isinstance(none, NoStep) and none.reason.startswith("hidden")
+
+
+def test_a_shift_that_breaks_off_has_swayed_as_far_as_it_went(agent):
+    before = agent.belief
+    way, sway = np.array([0.20, 0.06, 0.02]), np.array([0.0, 0.06, 0.02])
+    shift = replace(BodyShift.none(), translation_in_hex=way, sway_in_hex=sway)
+    for share in (0.0, 0.4, 1.0):
+        gone = SE3(before.world_from_hex.rotation, before.world_from_hex.translation + share * before.world_from_hex.rotate(way))
+        swayed = _swayed_so_far(shift, before.world_from_hex, replace(before, world_from_hex=gone))
+        assert swayed == pytest.approx(share * before.world_from_hex.rotate(sway), abs=1e-9)

@@ -8,10 +8,12 @@ from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Wait
 from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.spec import load_spec
 from planner.decisions import Proposal
 from planner.footfall import unknown_share
 from planner.operators import SCRIPTED_OPERATORS, Cautious, Distracted, Slow, ThinkTime, scripted_operator
 from planner.preview.foresee import posing
+from planner.preview.preview import PreviewFault
 
 
 def proposal(**changes):
@@ -28,7 +30,7 @@ def proposal(**changes):
 
 
 LIMITS = [
-    ("predicted_margin", "min_margin", -1, "margin"),
+    ("predicted_margin", "margin_above_rule", -1, "margin"),
     ("predicted_clearance", "min_clearance", -1, "clearance"),
     ("predicted_torque_fraction", "max_torque_fraction", 1, "torque"),
     ("unknown_share", "max_unknown_share", 1, "unknown ground"),
@@ -38,7 +40,7 @@ LIMITS = [
 @pytest.mark.parametrize(("figure", "limit", "bad", "word"), LIMITS)
 def test_cautious_approves_at_a_threshold_and_rejects_just_beyond(figure, limit, bad, word):
     operator = Cautious()
-    border = getattr(operator, limit)
+    border = getattr(operator, limit) + (load_spec("sdm_b").min_support_margin if limit == "margin_above_rule" else 0.0)
     for at, kind in (
         (border, "approve"),
         (np.nextafter(border, bad * np.inf), "reject"),
@@ -52,12 +54,27 @@ def test_cautious_approves_at_a_threshold_and_rejects_just_beyond(figure, limit,
 
 def test_cautious_names_every_reason_with_its_figure():
     decision, _ = Cautious().decide(proposal(predicted_margin=0.1, unknown_share=0.4), 0.0)
-    assert decision.reason == "margin 0.100 m, wants at least 0.3; unknown ground 0.400 of the footfall, wants at most 0.05"
+    assert decision.reason == "margin 0.100 m, wants at least 0.35; unknown ground 0.400 of the footfall, wants at most 0.05"
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_cautious_wants_more_than_the_robots_own_rule_which_the_planner_keeps(robot):
+    rule = load_spec(robot).min_support_margin
+    sequence = CommandSequence(seq=0, robot_id=robot, t=0.0, sequence_id=0, commands=(Wait(duration=1.0),))
+    for margin, kind in ((rule + 0.04, "reject"), (rule + 0.06, "approve")):
+        assert Cautious().decide(proposal(sequence=sequence, predicted_margin=margin), 0.0)[0].kind == kind
+
+
+def test_cautious_rejects_what_the_preview_finds_a_fault_in():
+    fault = PreviewFault(code="tip_over", command_index=1, t=3.0, leg=2, text="margin -0.10 m over the wheels that stand")
+    made = proposal()
+    decision, _ = Cautious().decide(dataclasses.replace(made, preview=dataclasses.replace(made.preview, faults=(fault,))), 0.0)
+    assert decision.kind == "reject" and decision.reason == "tip_over: margin -0.10 m over the wheels that stand"
 
 
 def test_cautious_refuses_a_threshold_that_is_no_number():
-    with pytest.raises(ConfigError, match="min_margin is nan"):
-        Cautious(min_margin=float("nan"))
+    with pytest.raises(ConfigError, match="margin_above_rule is nan"):
+        Cautious(margin_above_rule=float("nan"))
 
 
 @pytest.mark.parametrize("name", SCRIPTED_OPERATORS)

@@ -114,3 +114,13 @@ def test_pictures_of_another_sequence_do_not_count():
         )  # fmt: skip
         u.take(pair, 20.0)
     assert [pair.seq for pair in u.pairs] == [5]
+
+
+def test_what_came_of_it_is_told_by_telemetry_made_after_the_word_that_ended_it():
+    u = underway()
+    assert u.ended_at == -np.inf
+    u.take(receipt("queued"), 20.0)
+    assert u.ended_at == -np.inf
+    u.take(receipt("completed"), 20.0)
+    u.take(telemetry("idle", 3), 21.0)
+    assert u.ended_at == 11.0  # the receipt's, in robot time
