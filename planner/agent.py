@@ -302,7 +302,7 @@ class GroundAgent:
         self._belief = self._filter.update(telemetry)
 
     def _faulted(self, sent: Underway, fault: Fault) -> None:
-        if sent.drive is not None and fault.command_index <= 0:
+        if sent.drive is not None and fault.command_index == 0:  # -1 never began: cancelled in the queue
             # Telemetry holds no wheel angles: how far it rolled nobody knows.
             self._stopped = f"a drive broke off, where the robot stands is not known: {fault.text}"
             return

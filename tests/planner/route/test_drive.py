@@ -8,7 +8,7 @@ import pytest
 from athlete_twin.assets import named_toml, read_toml
 from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.grid import HeightGrid
-from athlete_twin.messages import Drive, Fault, LegMove
+from athlete_twin.messages import Drive, Fault, LegMove, Receipt, Stop
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
 from planner.agent import GroundAgent
@@ -169,6 +169,19 @@ def test_a_drive_that_breaks_off_stops_the_ground_since_nobody_knows_where_the_r
     action = agent.next(mock.t)
     assert isinstance(action, NoStep)
     assert action.reason.startswith("a drive broke off, where the robot stands is not known")
+
+
+def test_a_drive_that_is_cancelled_before_it_begins_is_proposed_again(robot):
+    agent, mock = ready(robot)
+    first = agent.next(mock.t)
+    sent = agent.decide(APPROVE, mock.t)
+    told = mock.receive(sent)
+    told += mock.receive(Stop(seq=0, robot_id=robot, t=mock.t, reason="wait"))
+    assert [m.status for m in told if isinstance(m, Receipt)] == ["queued", "cancelled"]
+    for message in [*told, mock._telemetry()]:
+        agent.observe(message, mock.t)
+    again = agent.next(mock.t)
+    assert isinstance(again, Proposal) and again.text == first.text
 
 
 @pytest.mark.slow
