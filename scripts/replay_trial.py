@@ -164,7 +164,7 @@ def _check(options: Options) -> None:
     if options.table is not None and options.table.suffix not in (".csv", ".parquet"):
         raise ConfigError(f"--table {options.table}: .csv or .parquet would have worked")
     if options.table is not None and options.table.suffix == ".parquet" and importlib.util.find_spec("pyarrow") is None:
-        raise ConfigError(f"--table {options.table} needs pyarrow: `pip install pyarrow`; a path ending in .csv needs nothing")
+        raise ConfigError(f"--table {options.table} needs pyarrow: `pip install -e .[tables]`; a path ending in .csv needs nothing")
     if options.film is not None and options.film.suffix != ".webm":
         raise ConfigError(f"--film {options.film}: a path ending in .webm would have worked")
     if not options.begin <= options.end:
