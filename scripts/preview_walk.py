@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -41,19 +42,21 @@ class Foreseen:
     faults: list[str] = field(default_factory=list)
     """that the executive told of"""
 
-    def errors(self, *, believed_world: bool, datum: float = 0.0) -> np.ndarray:
+    def errors(self, against: Literal["world", "chassis", "motion"], *, datum: float = 0.0) -> np.ndarray:
         """Distances of the foreseen axles from the true ones, shape (n, 6) [m].
 
         Args:
-            believed_world: in the world as the ground believes it, its errors of where the robot is included; else from the
-                chassis as it truly stood at the begin.
+            against: "world", as the ground believes it, its errors of where the robot is included; "chassis", from where it truly
+                stood at the begin; "motion", besides less what was wrong about each axle at the begin: the preview's own error.
             datum: height of the believed world's origin in the true one [m].
         """
         true_from_believed = SE3.from_translation(np.array([0.0, 0.0, datum]))
-        if not believed_world:
+        if against != "world":
             true_from_believed = self.world_from_hex.compose(self.belief.world_from_hex.inverse())
         foreseen = [true_from_believed.apply(self.preview.at(t).wheels_in_world) for t in self.times]
         off = np.array(foreseen).reshape(-1, 6, 3) - np.array(self.wheels).reshape(-1, 6, 3)
+        if against == "motion":
+            off -= true_from_believed.apply(self.preview.wheels_in_world[0]) - self.wheels_at_first
         return np.asarray(np.linalg.norm(off, axis=-1))
 
 
