@@ -50,8 +50,11 @@ def save_preview(proposal: Proposal, robot: str, path: Path) -> None:
     side.set(xlabel="x [m]", ylabel="z [m]", title="from the right side, orange: the leg that swings")
     side.set_aspect("equal")
     margin = "unknown" if not np.isfinite(proposal.predicted_margin) else f"{proposal.predicted_margin:.2f} m"
+    faults = "".join(f"\n{fault.code} after {fault.t:.0f} s: {fault.text}" for fault in preview.faults)
     figure.suptitle(
-        f"Proposal {proposal.index}: {proposal.text}\nleast margin {margin}, sag {proposal.predicted_sag:.3f} m"
+        f"Proposal {proposal.index}: {proposal.text}\n{preview.duration:.0f} s, least margin {margin}, "
+        f"sag {proposal.predicted_sag:.3f} m{faults}",
+        color="tab:red" if faults else "black",
     )
     figure.savefig(path, dpi=90)
     plt.close(figure)
