@@ -264,3 +264,34 @@ def test_a_ground_without_springs_shows_poses_alone():
     preview = posing(kin, joints, poses, seconds=4.0)
     assert preview.at(3.0).world_from_hex.translation[0] == pytest.approx(0.75)
     assert np.isnan(preview.margins).all() and preview.faults == ()
+
+
+@pytest.mark.slow
+@pytest.mark.ci
+def test_any_sequence_that_can_be_sent_has_a_preview(robot):
+    rng = np.random.default_rng(5)
+    cameras = tuple(c.name for c in robot.spec.cameras)
+
+    def command():
+        leg, size = int(rng.integers(6)), float(10.0 ** rng.uniform(-3.0, 2.5))
+        axle = robot.kin.leg_wheel(leg, robot.belief.motors[leg]).translation
+        match int(rng.integers(6)):
+            case 0:
+                near = robot.belief.motors[leg] + rng.normal(size=(int(rng.integers(1, 4)), robot.spec.dof)) * min(size, 4.0)
+                return JointMove(leg=leg, waypoints=near, speed_scale=float(rng.uniform(0.001, 1.0)), corner_tolerance=0.0)
+            case 1:
+                guard = str(rng.choice(["none", "break_contact", "contact"]))
+                return LegMove(leg=leg, wheel_in_hex=axle + size * rng.normal(size=3), guard=guard, contact_load=size)
+            case 2:
+                return BodyMove(translation_in_hex=min(size, 1.0) * rng.normal(size=3), rotvec_in_hex=0.1 * rng.normal(size=3))
+            case 3:
+                return Drive(translation_in_hex=size * rng.normal(size=2) * float(rng.random() < 0.9), speed=float(rng.uniform(0.01, 3.0)))
+            case 4:
+                return ImageRequest(cameras=(str(rng.choice([*cameras, "nowhere"])),))
+        return Wait(duration=size)
+
+    for _ in range(30):
+        preview = seen(robot, *(command() for _ in range(int(rng.integers(0, 5)))))
+        assert np.isfinite(preview.wheels_in_world).all() and np.isfinite(preview.times).all()
+        assert (np.diff(preview.times) >= 0.0).all() and set(codes(preview)) <= set(FAULTS)
+        assert all(fault.text and 0.0 <= fault.t <= preview.duration + 1e-9 for fault in preview.faults)
