@@ -66,7 +66,7 @@ class OperatorEnv(MissionEnv):
     | `preview_times` | (16,) | evenly over the sequence, after it begins [s] |
     | `preview_joints` | (16, 6, dof) | then [rad] |
     | `preview_world_from_hex` | (16, 6) | the same of the chassis |
-    | `preview_faults` | MultiBinary(10) | whether the preview finds a fault of each kind of `planner.preview.preview.FAULTS` |
+    | `preview_faults` | MultiBinary(11) | whether the preview finds a fault of each kind of `planner.preview.preview.FAULTS` |
     | `map_height` | (80, 80) | cells of 0.1 m round the believed chassis, first index along x of `world` [m] |
     | `map_known`, `map_green` | (80, 80) uint8 | whether seen, whether a wheel may stand there |
 

@@ -184,14 +184,15 @@ class _Foresight:
 
     def _lift(self, index: int, way: Stretch, leg: int) -> bool:
         """Up to where the wheel leaves the ground, and from there."""
-        first = self.stance.at(way.motors[0])
-        last = self.stance.at(way.motors[-1])
-        breaks = len(way.times) - 1
-        if last.status == "converged" and last.loads[leg] > 0.0:
-            # Heavier than the springs can tell: the executive's own guard finds out.
-            return self._go(index, way)
+        first, last, breaks = self.stance.at(way.motors[0]), self.stance.at(way.motors[-1]), len(way.times) - 1
         self.stance.lifts(leg)
         free = self.stance.at(way.motors[-1])
+        if free.status == "converged" and last.status == "converged" and last.loads[leg] > 0.0:
+            self.stance.stays(leg)
+            text = f"leg {leg + 1} still carries {last.loads[leg]:.0f} N at the end of its lift-off"
+            self._go(index, way)
+            self._fault("contact_not_broken", index, self.t, leg, text)
+            return False
         # The load falls evenly with the commanded height: it is gone where the place that carried it has come down that far
         # below where its spring begins to bear ([SunSpiral2012] eq. 12).
         height, place = self._commanded_height(way, leg), self.kin.leg_wheel(leg, way.motors[0, leg]).translation

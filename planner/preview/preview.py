@@ -23,6 +23,7 @@ FAULTS: Mapping[str, str] = {
     "tilt": "the chassis more inclined than the sequence allows",
     "torque": "a joint asked for more torque than the sequence allows",
     "dragging": "a leg led as if it were free whose wheel stands",
+    "contact_not_broken": "a lift-off that leaves the wheel on the ground",
     "no_contact": "a guarded descent that meets no ground",
 }
 """codes of what a preview finds, and what they mean"""

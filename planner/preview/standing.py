@@ -85,6 +85,10 @@ class Stance:
         """A wheel leaves the ground."""
         self.stands[leg] = False
 
+    def stays(self, leg: int) -> None:
+        """A wheel that was to leave the ground stands where it stood."""
+        self.stands[leg] = True
+
     def bears_at(self, leg: int) -> float:
         """Height in world at which the spring of a wheel that stands, or stood last, begins to bear [m]."""
         return float(self._anchors[leg, 2])

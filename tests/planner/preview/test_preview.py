@@ -196,6 +196,7 @@ def test_each_fault_is_named_with_command_leg_and_figure(robot):
     assert codes(seen(robot, ImageRequest(cameras=("nowhere",)))) == ["bad_command"]
     assert codes(seen(robot, *step, max_torque_fraction=0.1))[0] == "torque"
     assert codes(seen(robot, step[1])) == ["dragging"]
+    assert codes(seen(robot, lifted(robot, 0, 0.03))) == ["contact_not_broken"]
     tipped = seen(robot, *(lifted(robot, leg, 0.45) for leg in np.argsort(np.abs(spec.hip_azimuths))[:3].tolist()))
     assert "tip_over" in codes(tipped)
     tilted = seen(robot, BodyMove(translation_in_hex=np.zeros(3), rotvec_in_hex=np.array([0.0, 0.06, 0.0])), max_tilt=0.03)
