@@ -125,13 +125,15 @@ class _Foresight:
         self.begins: list[float] = []
         self.faults: list[PreviewFault] = []
         self.rows: list[tuple[float, Joints, SE3, Wheels, float, float]] = []
-        self.allowed = sequence.max_torque_fraction
+        now = self.stance.at(self.motors)
+        asked = np.abs(self._torques(self.motors, now) / self.spec.torque_limits)
+        self.allowed = np.maximum(sequence.max_torque_fraction, asked + TORQUE_RECOVERY)
+        """of each joint's limit, shape (6, dof)"""
 
     def run(self) -> Preview:
         self._at_once()
         now = self.stance.at(self.motors)
         self._take(-1, None, np.zeros(1), self.motors[None], [now])
-        self.allowed = max(self.allowed, self.rows[0][5] + TORQUE_RECOVERY)
         for index, command in enumerate(self.sequence.commands):
             self.begins.append(self.t)
             try:
@@ -364,10 +366,11 @@ class _Foresight:
         if tilt > self.sequence.max_tilt:
             limit = np.rad2deg(self.sequence.max_tilt)
             self._fault("tilt", index, t, -1, f"chassis tilts by {np.rad2deg(tilt):.1f} deg, allowed {limit:.1f} deg")
-        peak = float(fractions.max())
-        if peak > self.allowed:
-            leg, joint = (int(v) for v in np.unravel_index(int(np.argmax(fractions)), fractions.shape))
-            text = f"{self.spec.joint_names[joint]} of leg {leg + 1} at {100 * peak:.0f} % of its limit, allowed {100 * self.allowed:.0f} %"
+        over = fractions - self.allowed
+        if over.max() > 0.0:
+            leg, joint = (int(v) for v in np.unravel_index(int(np.argmax(over)), over.shape))
+            asked, allowed = 100 * fractions[leg, joint], 100 * self.allowed[leg, joint]
+            text = f"{self.spec.joint_names[joint]} of leg {leg + 1} at {asked:.0f} % of its limit, allowed {allowed:.0f} %"
             self._fault("torque", index, t, leg, text)
         if way is not None and isinstance(way.command, JointMove | LegMove | BodyMove | Drive):
             hit = self.body.first_collision(joints, standing.world_from_hex)
