@@ -27,7 +27,9 @@ MOCKS = [name for name in IDS if "Mock" in name]
 TWINS = [name for name in IDS if name not in MOCKS]
 
 
-@pytest.mark.parametrize("name", [*MOCKS, *(pytest.param(i, marks=(pytest.mark.slow, pytest.mark.ci)) for i in TWINS)])
+@pytest.mark.slow
+@pytest.mark.ci
+@pytest.mark.parametrize("name", [*MOCKS, *TWINS])
 def test_every_id_keeps_gymnasiums_contract(name):
     kwargs = {} if name in MOCKS else {"scenario": "calibration_yard"}
     with warnings.catch_warnings():

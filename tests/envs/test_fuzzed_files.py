@@ -153,6 +153,8 @@ def fuzz_recording(raw, count, folder):
     return refused / count, lost / count
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_spoiled_recordings_are_refused_by_name_or_read_as_far_as_they_go(recording, tmp_path):
     refused, shortened = fuzz_recording(recording, 60, tmp_path)
     assert refused > 0.3 and shortened > 0.1

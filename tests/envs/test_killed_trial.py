@@ -62,7 +62,11 @@ def killed_trials(folder, kills, body):
 
 
 @pytest.mark.parametrize(
-    ("body", "kills"), [("mock", 2), pytest.param("mock", 40, marks=pytest.mark.slow), pytest.param("twin", 4, marks=pytest.mark.slow)]
+    ("body", "kills"),
+    [
+        pytest.param("mock", 5, marks=[pytest.mark.slow, pytest.mark.ci]),
+        *(pytest.param(body, kills, marks=pytest.mark.slow) for body, kills in (("mock", 40), ("twin", 4))),
+    ],
 )
 def test_a_killed_trial_keeps_all_but_the_last_second(tmp_path, body, kills):
     most = 0

@@ -39,6 +39,8 @@ def a_mission(robot, delay):
     return Mission(robot, up=DelayedLink(up, np.random.default_rng(1)), down=DelayedLink(down, np.random.default_rng(2)))
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_commands_are_heard_within_a_physics_tick_of_their_arrival_while_the_robot_moves(athlete):
     heard, mission, rng, due = Heard(athlete), a_mission(athlete, 0.731), np.random.default_rng(3), []
     moves = (BodyMove(translation_in_hex=np.array([0.2, 0.0, 0.0])), BodyMove(translation_in_hex=np.array([-0.2, 0.0, 0.0])))

@@ -106,12 +106,16 @@ def test_the_sandbox_goes_from_flat_to_very_rough(experiment):
 
 
 @pytest.mark.slow
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_order_of_the_paper_holds_of_the_means_and_not_in_every_experiment(found):
     for one in found["errors"]:
         assert one["order_of_the_mean"]["all"]
         assert 0 < one["order_held_in"]["all"] < 20
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_height_error_makes_methods_disagree_and_choices_worse(found):
     means = np.array([one["row_means"]["printed"] for one in found["errors"]])
     assert (means[1:3] > means[:2]).all()  # to 1 cm and to 5 cm; then there is little left of the ground
@@ -122,6 +126,8 @@ def test_height_error_makes_methods_disagree_and_choices_worse(found):
             assert all(b[key] > a[key] for a, b in itertools.pairwise(lost))
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_same_seed_gives_the_same_json(scripts, capsys):
     printed = []
     for _ in range(2):
@@ -133,6 +139,8 @@ def test_the_same_seed_gives_the_same_json(scripts, capsys):
     assert printed[0]["paper"]["row_means"]["printed"] == [4.875, 11.375, 26.625, 6.25, 5.75]
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_the_tables_stand_beside_the_paper_s_and_the_picture_is_one(scripts, capsys, tmp_path):
     assert scripts["agreement"].main(["--seeds", "2", "--error", "0.05", "--shape", "disc", "--out", str(tmp_path)]) == 0
     out = capsys.readouterr().out
