@@ -190,6 +190,8 @@ def in_fresh_process(program, **variables):
     return subprocess.run([sys.executable, "-c", program], env=unset | variables, cwd=ROOT, capture_output=True, text=True, timeout=300)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_human_mode_draws_in_a_window_by_itself():
     pytest.importorskip("pygame", reason="the extra 'window' is not installed: pip install -e .[window]")
     done = in_fresh_process(WINDOWED, SDL_VIDEODRIVER="dummy")

@@ -1,4 +1,5 @@
 import dataclasses
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -16,12 +17,17 @@ from planner.preview.foresee import posing
 from planner.preview.preview import PreviewFault
 
 
+@lru_cache(maxsize=1)
+def preview():
+    return posing(kinematics("sdm_b"), np.zeros((1, 6, 6)), (SE3.identity(),))
+
+
 def proposal(**changes):
     sequence = CommandSequence(seq=0, robot_id="sdm_b", t=0.0, sequence_id=0, commands=(Wait(duration=1.0),))
     pose = SE3.identity()
     made = Proposal(
         index=0, t=0.0, kind="step", leg=0, footfall_in_world=np.array([1.0, 2.0, 0.0]), sequence=sequence,
-        preview=posing(kinematics("sdm_b"), np.zeros((1, 6, 6)), (pose,)),
+        preview=preview(),
         terrain=HeightGrid(origin_x=0.0, origin_y=0.0, cell=1.0, heights=np.zeros((3, 3))),
         footfall_ok=np.ones((3, 3), dtype=bool), cost=np.zeros((3, 3)), world_from_hex=pose, predicted_margin=0.5,
         predicted_sag=0.05, text="a step", predicted_torque_fraction=0.5, predicted_clearance=0.2, unknown_share=0.0,
