@@ -88,9 +88,10 @@ class Scorer:
             truth: when the executive reported the sequence completed.
         """
         if proposal.kind == "step":
-            self.steps_of_leg[proposal.leg] += 1
-            miss = truth.wheels_in_world[proposal.leg, :2] - proposal.footfall_in_world[:2]
-            self._touchdown_errors.append(float(np.linalg.norm(miss)))
+            for leg, footfall in [(proposal.leg, proposal.footfall_in_world), *((p.leg, p.footfall_in_world) for p in proposal.together)]:
+                self.steps_of_leg[leg] += 1
+                miss = truth.wheels_in_world[leg, :2] - footfall[:2]
+                self._touchdown_errors.append(float(np.linalg.norm(miss)))
         preview = proposal.preview
         believed = _height_over_ground(preview.world_from_hex[-1], preview.wheels_in_world[-1], proposal.terrain)
         true = _height_over_ground(truth.world_from_hex, truth.wheels_in_world, self.grid)

@@ -32,12 +32,13 @@ from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.spec import LEGS, RobotSpec
 from planner.belief import Belief, BeliefFilter
 from planner.config import PlannerConfig
-from planner.decisions import Action, Arrived, Decision, NoStep, Proposal, Uplink, Waiting
+from planner.decisions import Action, Arrived, Decision, Landing, NoStep, Proposal, Uplink, Waiting
 from planner.eyes import Eyes, StageTimer, untimed
 from planner.footfall import FootfallMap, score_footfalls, unknown_share
 from planner.gait.aside import AsidePlan, Asides, NoAside, plan_aside
 from planner.gait.lift_and_look import raised_path
-from planner.gait.skeleton import regular_places, reverse_wave, stride
+from planner.gait.pair_search import search_pair
+from planner.gait.skeleton import opposite, regular_places, reverse_wave, stride
 from planner.gait.step_plan import BodyShift, StepPlan
 from planner.gait.step_search import Ground, StepRequest, on_path, search_step
 from planner.gait.survey import seeing, survey_commands
@@ -106,7 +107,10 @@ class GroundAgent:
         self._asides = Asides(config.aside)
         self._walks = not config.driving
         """until the next step is done: the operator refused to drive"""
-        self._attempt: StepPlan | None = None
+        self._attempts: dict[int, StepPlan] = {}
+        """what was sent up last for each leg"""
+        self._faulty: int | None = None
+        """leg whose command met the last fault"""
         self._asked_at = 0.0
         """when the robot was asked for its state last, mission time [s]"""
         self._ground_s = 0.0
@@ -242,11 +246,10 @@ class GroundAgent:
         if plan is None:
             return
         command = commands[index]
-        guard = getattr(command, "guard", "none")
-        if guard == "break_contact":
-            self._filter.lift(plan.leg)
-        elif guard == "contact":
-            self._filter.land(plan.leg)
+        if isinstance(command, LegMove) and command.guard == "break_contact":
+            self._filter.lift(command.leg)
+        elif isinstance(command, LegMove) and command.guard == "contact":
+            self._filter.land(command.leg)
 
     def _digest(self, sent: Underway) -> None:
         """A sequence has ended: update the belief, fuse its pictures, take note of a fault."""
@@ -260,11 +263,12 @@ class GroundAgent:
         elif sent.aside is not None:
             self._asides.took(sent.aside.turn)
         elif sent.plan is not None:
-            self.steps_taken += 1
-            self.stepped[sent.plan.leg] += 1
+            for part in sent.plan.parts:
+                self.steps_taken += 1
+                self.stepped[part.leg] += 1
             self.last_plan = sent.plan
             self._walks = not self.config.driving
-            regular = stride(self.spec, self.config.step.gait) / LEGS
+            regular = len(sent.plan.parts) * stride(self.spec, self.config.step.gait) / LEGS
             shift = sent.plan.shift
             advance = float(np.linalg.norm((shift.translation_in_hex - shift.sway_in_hex)[:2]))
             if self._swayed is not None:
@@ -313,6 +317,10 @@ class GroundAgent:
                 self._asides.give_up()
             self._recovery.attempts += 1
             return
+        # Of two legs that step together the fault is one's: that of the command in execution, whoever's joint it names.
+        command = sent.sequence.commands[fault.command_index] if fault.command_index >= 0 else None
+        plan = plan.of_leg(command.leg) if isinstance(command, LegMove | JointMove) else plan
+        self._faulty = plan.leg
         self._recovery.fault(fault, plan, self._telemetry.motors[plan.leg])
         if self._recovery.exhausted:
             self._stopped = f"{self._recovery.attempts} faults at one step, the last: {fault.text}"
@@ -347,10 +355,11 @@ class GroundAgent:
             return Arrived(text=f"believed {remaining:.2f} m from the goal")
         with self._timer("footfall"):
             ground = self._ground(belief)
-        if self._recovery.retreat is not None and self._attempt is not None:
-            return self._retreat(belief, ground, self._attempt, self._recovery.retreat, t)
-        if len(in_air) and self._recovery.lowers and self._attempt is not None:
-            return self._lower(belief, ground, self._attempt, t)
+        attempt = None if self._faulty is None else self._attempts.get(self._faulty)
+        if self._recovery.retreat is not None and attempt is not None:
+            return self._retreat(belief, ground, attempt, self._recovery.retreat, t)
+        if len(in_air) and self._recovery.lowers and attempt is not None:
+            return self._lower(belief, ground, attempt, t)
         with self._timer("route"):
             ways = self.guide.ways(replace(belief, world_from_hex=on_path(belief, self._swayed)), ground)
         forced_xy, self._forced_xy = self._forced_xy, None
@@ -362,6 +371,11 @@ class GroundAgent:
             if isinstance(drive, DrivePlan):
                 return self._roll(drive, belief, ground, t)
         failed: list[tuple[Way, str, Counter[str]]] = []
+        together = self._search_pairs(belief, ground, ways[0], in_air)
+        if isinstance(together, StepPlan):
+            self.guide.took(ways[0])
+            return self._as_proposal(together, belief, ground, t)
+        failed += [(ways[0], no.reason, Counter(no.refused)) for no in together]
         hidden: Counter[int] = Counter()
         looked = len(in_air) > 0
         unmoved: NoAside | None = None
@@ -395,9 +409,10 @@ class GroundAgent:
                 text = f"{again.text} (not at ({forced_xy[0]:.2f}, {forced_xy[1]:.2f}) m: {reason})"
                 again = self._proposal = replace(again, text=text)
             return again
-        if len(in_air) and self._attempt is not None and self._recovery.lowerings <= LOWERINGS:
+        hanging = self._attempts.get(int(in_air[0])) if len(in_air) else None
+        if hanging is not None and self._recovery.lowerings <= LOWERINGS:
             self._recovery.lowerings += 1
-            return self._lower(belief, ground, self._attempt, t)
+            return self._lower(belief, ground, hanging, t)
         look = None if looked else self._look_beneath(belief, ground, ways[0], hidden, t)
         if look is not None:
             return look
@@ -419,7 +434,7 @@ class GroundAgent:
             footfall_xy=footfall_xy,
             refused_xy=self._recovery.refused_xy,
             extra_lift=self._recovery.extra_lift,
-            next_leg=self._upcoming(belief, way.heading, leg)[0],
+            next_leg=self._upcoming(belief, way.heading, (leg,))[0],
             cautious=cautious,
             wide=wide,
         )
@@ -430,6 +445,27 @@ class GroundAgent:
             return search_step(
                 self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload, rng=self._rng
             )
+
+    def _search_pairs(self, belief: Belief, ground: Ground, way: Way, in_air: np.ndarray) -> StepPlan | list[NoStep]:
+        """A step of two opposite legs whose turn it is, of a gait that has such, or why none of them may."""
+        if self.config.step.gait.method != "opposite_pairs" or len(in_air) or self._forced_leg is not None:
+            return []
+        due = self._order(belief, way.heading, in_air)[0]
+        pairs = [(leg, opposite(self.spec, leg)) for n, leg in enumerate(due) if opposite(self.spec, leg) in due[n + 1 :]]
+        refused = []
+        for cautious in (True, False) if ground.cautious is not ground.filled else (False,):
+            for pair in pairs:
+                upcoming = self._upcoming(belief, way.heading, pair)[0]
+                one, two = (replace(self._request(belief, way, leg, cautious=cautious, wide=False), next_leg=upcoming) for leg in pair)
+                self._ground_s += SECONDS_PER_PLAN
+                with self._timer("plan"):
+                    found = search_pair(
+                        self.kin, self.springs, belief, ground, one, two, config=self.config.step, payload_kg=self._payload, rng=self._rng
+                    )
+                if isinstance(found, StepPlan):
+                    return found
+                refused.append(found)
+        return refused
 
     def _go_aside(self, belief: Belief, ground: Ground, way: Way, t: float) -> Proposal | NoAside:
         """No leg finds a step the way the gait goes: the chassis out of the way, wheels down, if that gives one that is due a step."""
@@ -453,7 +489,7 @@ class GroundAgent:
         if isinstance(aside, NoAside):
             return aside
         self._aside = aside
-        sequence = self._as_sequence([aside.command], t, cameras=self._cameras(None, belief))
+        sequence = self._as_sequence([aside.command], t, cameras=self._cameras((), belief))
         self._proposal = Proposal(
             index=self._next_proposal(), t=t, kind="shift", leg=-1,
             footfall_in_world=aside.world_from_hex[-1].translation.copy(),
@@ -678,10 +714,9 @@ class GroundAgent:
         commands: list[Command] | None = None,
         text: str = "",
     ) -> Proposal:
-        cameras = self._cameras(plan.leg, belief)
+        cameras = self._cameras(tuple(part.leg for part in plan.parts), belief)
         sequence = self._as_sequence(step_commands(plan) if commands is None else commands, t, cameras=cameras)
         footfalls: FootfallMap = ground.footfalls
-        x, y = plan.footfall_in_world[:2]
         shift = 100 * float(np.linalg.norm(plan.shift.translation_in_hex[:2]))
         cut = f" (cut: {plan.shift.cut_by})" if plan.shift.cut_by else ""
         self._plan = plan
@@ -702,18 +737,18 @@ class GroundAgent:
             predicted_torque_fraction=plan.peak_torque_fraction,
             predicted_clearance=float("nan") if plan.lift_in_hex is None else plan.lift_clearance,
             unknown_share=unknown_share(ground.heights, plan.footfall_in_world, radius=self.spec.wheel.radius),
-            text=text or f"leg {plan.leg + 1} steps to ({x:.2f}, {y:.2f}) m, {plan.swing_time:.0f} s through the air, "
-            f"then the chassis shifts by {shift:.0f} cm{cut}",
+            text=text or f"{_told(plan)}, {plan.swing_time:.0f} s through the air, then the chassis shifts by {shift:.0f} cm{cut}",
+            together=tuple(Landing(leg=part.leg, footfall_in_world=part.footfall_in_world.copy()) for part in plan.parts[1:]),
         )
         return self._proposal
 
-    def _cameras(self, leg: int | None, belief: Belief) -> tuple[str, ...]:
-        """Which cameras look at the places where the next legs will step, once `leg` has."""
+    def _cameras(self, legs: tuple[int, ...], belief: Belief) -> tuple[str, ...]:
+        """Which cameras look at the places where the next legs will step, once `legs` have."""
         if self.config.fusion_method == "flat":
             return ()
         offset = self.goal - belief.world_from_hex.translation[:2]
         heading = offset / max(float(np.linalg.norm(offset)), 1e-9) if self.guide.heading is None else self.guide.heading
-        upcoming = self._upcoming(belief, heading, leg)[:3]
+        upcoming = self._upcoming(belief, heading, legs)[:3]
         places = regular_places(self.spec, belief.world_from_hex) + 0.5 * stride(self.spec, self.config.step.gait) * heading
         names: dict[str, None] = {}
         hex_from_world = belief.world_from_hex.inverse()
@@ -725,11 +760,9 @@ class GroundAgent:
                     names[name] = None
         return tuple(names)[: self.config.survey.each_step]
 
-    def _upcoming(self, belief: Belief, heading: Vec2, leg: int | None) -> list[int]:
-        """All legs in the order in which their turns come, once `leg` has stepped."""
-        later = Counter(self.stepped)
-        if leg is not None:
-            later[leg] += 1
+    def _upcoming(self, belief: Belief, heading: Vec2, legs: tuple[int, ...]) -> list[int]:
+        """All legs in the order in which their turns come, once `legs` have stepped."""
+        later = Counter(self.stepped) + Counter(legs)
         wave = reverse_wave(self.spec, (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2])
         return sorted(wave, key=lambda other: later[other])
 
@@ -747,8 +780,9 @@ class GroundAgent:
     ) -> CommandSequence:  # fmt: skip
         awaited = sum(len(c.cameras) * len(c.brackets) for c in sequence.commands if isinstance(c, ImageRequest))
         self._sent = Underway(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive, aside=aside)
-        if plan is not None or lift is not None:
-            self._attempt = plan or lift
+        attempt = plan or lift
+        if attempt is not None:
+            self._attempts |= {part.leg: part for part in attempt.parts}
         if any(isinstance(c, JointMove) for c in sequence.commands):
             self._recovery.retreat = None
         return sequence
@@ -756,6 +790,12 @@ class GroundAgent:
     def _next_proposal(self) -> int:
         self._proposals += 1
         return self._proposals - 1
+
+
+def _told(plan: StepPlan) -> str:
+    """Which leg goes where."""
+    steps = [f"leg {part.leg + 1} steps to ({part.footfall_in_world[0]:.2f}, {part.footfall_in_world[1]:.2f}) m" for part in plan.parts]
+    return " and ".join(steps) + (" together" if plan.companion is not None else "")
 
 
 def _swayed_so_far(shift: BodyShift, before: SE3, belief: Belief) -> Vec3:

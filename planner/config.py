@@ -13,7 +13,7 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
     footfall = "free_volume"        # max_min, plane_fit, support_area, support_energy, free_volume, equilibrium, asv_slope
     leg_planner = "sbl"             # sbl, or one of OMPL's
     smoothing = "dijkstra_bisect"
-    gait = "reverse_wave"
+    gait = "reverse_wave"           # reverse_wave, opposite_pairs (the leg across steps with each, where both may be in the air)
     body_motion = "straight"        # straight, sway (off the path to where the next swing asks least of the joints, footfalls kept)
     touchdown = "guarded"
     unknown_terrain = "refuse"      # refuse, flat (an unknown cell is as high as its neighbours)
@@ -47,7 +47,7 @@ from planner.gait.aside import AsideConfig
 from planner.gait.body_sway import BodySwayConfig
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
-from planner.gait.skeleton import GaitConfig
+from planner.gait.skeleton import GAITS, GaitConfig
 from planner.gait.step_search import SearchConfig, StepConfig, TouchdownConfig
 from planner.gait.survey import SurveyConfig
 from planner.motion.collision import CollisionConfig
@@ -82,7 +82,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "footfall": FOOTFALLS,
     "leg_planner": LEG_PLANNERS,
     "smoothing": ("dijkstra_bisect", "least_torque"),
-    "gait": ("reverse_wave",),
+    "gait": GAITS,
     "body_motion": ("straight", "sway"),
     "touchdown": ("guarded",),
     "unknown_terrain": ("refuse", "flat"),
@@ -178,6 +178,8 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         chosen[key] = ALIASES.get(str(value), str(value))
     if chosen["driving"] == "on" and chosen["route"] != "map":
         raise ConfigError(f"variant {name}: driving = 'on' needs route = 'map': only a route says where it is smooth enough")
+    if chosen["gait"] == "opposite_pairs" and chosen["fusion"] == "lift_and_image":
+        raise ConfigError(f"variant {name}: gait = 'opposite_pairs' lifts two legs, fusion = 'lift_and_image' one to look; choose one")
     level = content.get("level_deck_deg", 0.0)
     if not isinstance(level, int | float) or not np.isfinite(level) or not 0.0 <= level <= 20.0:
         raise ConfigError(f"variant {name}: level_deck_deg = {level!r} is not a number from 0 to 20")

@@ -28,6 +28,16 @@ MAX_WAIT = 3600.0
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
+class Landing:
+    """Where a leg comes down."""
+
+    leg: int
+    """index 0 to 5"""
+    footfall_in_world: Vec3
+    """believed contact point [m]"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Proposal:
     """One step or chassis shift the ground wants to command, with all the operator needs to judge it."""
 
@@ -64,6 +74,8 @@ class Proposal:
     """of the lifted wheel above the ground under it [m]"""
     unknown_share: float = float("nan")
     """of the ground under the wheel at its footfall, so much was never seen, 0 to 1"""
+    together: tuple[Landing, ...] = ()
+    """of a step, the other legs that step with it"""
 
     def __post_init__(self) -> None:
         for name in ("footfall_ok", "cost"):

@@ -54,7 +54,7 @@ class Recovery:
 
     def refuse(self, plan: StepPlan) -> None:
         """Step elsewhere the next time."""
-        self._refused.append(plan.footfall_in_world[:2])
+        self._refused += [part.footfall_in_world[:2] for part in plan.parts]
 
     def fault(self, fault: Fault, plan: StepPlan, leg_motors: LegJoints) -> None:
         """Take note of a fault of a step, the leg's motors standing at `leg_motors` [rad]."""

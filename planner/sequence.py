@@ -19,14 +19,17 @@ SMALLEST_SHIFT = 1e-3
 
 
 def step_commands(plan: StepPlan) -> list[Command]:
-    """Lift-off, swing, guarded descent and shift of one step."""
-    commands: list[Command] = []
-    if plan.lift_in_hex is not None:
-        commands.append(LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact"))
-    commands.append(JointMove(leg=plan.leg, waypoints=plan.swing, corner_tolerance=plan.swing_corner_tolerance))
-    commands.append(
-        LegMove(leg=plan.leg, wheel_in_hex=plan.descent_in_hex, guard="contact", contact_load=plan.contact_load)
-    )
+    """Lift-off, swing, guarded descent and shift of one step; of two opposite legs each with both legs before the next."""
+    parts = plan.parts
+    commands: list[Command] = [
+        LegMove(leg=part.leg, wheel_in_hex=part.lift_in_hex, guard="break_contact") for part in parts if part.lift_in_hex is not None
+    ]
+    commands += [
+        JointMove(leg=part.leg, waypoints=part.swing, corner_tolerance=part.swing_corner_tolerance) for part in parts
+    ]
+    commands += [
+        LegMove(leg=part.leg, wheel_in_hex=part.descent_in_hex, guard="contact", contact_load=part.contact_load) for part in parts
+    ]
     return commands + shift_commands(plan.shift)
 
 

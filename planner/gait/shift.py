@@ -73,6 +73,7 @@ def plan_shift(
     limits: ShiftLimits,
     collision: CollisionConfig,
     payload_kg: float,
+    legs: int = 1,
 ) -> BodyShift:
     """The shift after a step; its fraction is 0 where only height and attitude can be mended, or not even these.
 
@@ -96,10 +97,11 @@ def plan_shift(
         limits: of what is mended and relaxed.
         collision: clearances.
         payload_kg: [kg]
+        legs: that stepped together.
     """
     pose = belief.world_from_hex
     off = np.zeros(3) if swayed is None else swayed
-    wanted = shift_per_step(kin.spec, gait, remaining=remaining, behind=behind)
+    wanted = shift_per_step(kin.spec, gait, remaining=remaining, behind=behind, legs=legs)
     body = BodyCollision(kin.spec, filled, collision)
     wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
     offsets = relaxing_offsets(

@@ -4,6 +4,9 @@
 chassis shifts with all wheels down. Here it shifts after every step by a sixth of the stride, so on open ground steps
 and shifts are alike from the second cycle on. A foot steps to half a stride ahead of its regular place: by its next
 turn the chassis has carried it half a stride behind.
+
+`opposite_pairs` keeps that order and has the leg across the chassis step with each, where it may ([SunSpiral2012] s7.1: two
+diametrically opposed legs in the air can ask less of the joints than one); the chassis then goes on by a third of the stride.
 """
 
 from __future__ import annotations
@@ -18,7 +21,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import stance_wheels_in_hex
 
-GAITS = ("reverse_wave",)
+GAITS = ("reverse_wave", "opposite_pairs")
 ON_AXIS = 1e-3
 """a hip this close to the line of travel counts as left, robot facts 12a [m]"""
 
@@ -50,6 +53,11 @@ def reverse_wave(spec: RobotSpec, heading_in_hex: Vec2) -> tuple[int, ...]:
     return tuple(sorted(range(LEGS), key=lambda leg: (not side[leg], -along[leg])))
 
 
+def opposite(spec: RobotSpec, leg: int) -> int:
+    """Index of the leg across the chassis."""
+    return int(np.argmin(spec.hips_in_hex[:, :2] @ spec.hips_in_hex[leg, :2]))
+
+
 def regular_places(spec: RobotSpec, world_from_hex: SE3) -> Points2:
     """Where the wheels of the regular stance would stand below this chassis, shape (6, 2) [m]."""
     yaw = float(np.arctan2(world_from_hex.rotation[1, 0], world_from_hex.rotation[0, 0]))
@@ -63,16 +71,17 @@ def stride(spec: RobotSpec, config: GaitConfig) -> float:
     return spec.stride * config.stride_fraction
 
 
-def shift_per_step(spec: RobotSpec, config: GaitConfig, *, remaining: float, behind: float) -> float:
-    """Advance of the chassis after one step [m].
+def shift_per_step(spec: RobotSpec, config: GaitConfig, *, remaining: float, behind: float, legs: int = 1) -> float:
+    """Advance of the chassis after a step [m].
 
     Args:
         spec: the drawings.
         config: of the gait.
         remaining: distance to the goal [m].
         behind: what earlier shifts were cut short by; at most half a shift of it is made up for at a time [m].
+        legs: that stepped together.
     """
-    regular = stride(spec, config) / LEGS
+    regular = legs * stride(spec, config) / LEGS
     return min(regular + min(behind, 0.5 * regular), remaining)
 
 

@@ -76,3 +76,14 @@ class StepPlan:
     """believed, while the leg is in the air"""
     planner_checks: int
     """collision checks spent on the path"""
+    companion: StepPlan | None = None
+    """the step of the opposite leg, in the air together with this one; it lands second, and the shift is this plan's"""
+
+    @property
+    def parts(self) -> tuple[StepPlan, ...]:
+        """The steps of all legs that it moves, in the order of their landing."""
+        return (self,) if self.companion is None else (self, self.companion)
+
+    def of_leg(self, leg: int) -> StepPlan:
+        """The part that moves a leg; the first where none does."""
+        return next((part for part in self.parts if part.leg == leg), self)

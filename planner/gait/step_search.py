@@ -2,7 +2,8 @@
 
 Fused terrain, footfall scores and belief -> `StepPlan | NoStep`. A candidate must be allowed by the footfall map, within
 reach on the ground and above it with the chassis sagged as it will be, keep the stability rule, stay clear of the other
-wheels, and have a collision-free way there. Refusals are counted by the check that made them.
+wheels, and have a collision-free way there. Refusals are counted by the check that made them. Another leg may be in the air
+meanwhile: then the chassis does not shift afterwards.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import ConfigError
-from athlete_twin.geometry.arrays import Joints, PerLeg, Points2, Points3, Vec2, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, PerLeg, PerLegFlag, Points2, Points3, Vec2, Vec3, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -27,7 +28,7 @@ from planner.footfall import FootfallMap
 from planner.gait.body_sway import BodySwayConfig
 from planner.gait.shift import ShiftLimits, plan_shift
 from planner.gait.skeleton import GaitConfig, nominal_footfall, stride
-from planner.gait.step_plan import StepPlan
+from planner.gait.step_plan import BodyShift, StepPlan
 from planner.motion.collision import CollisionConfig, LegCollision
 from planner.motion.swing import SwingConfig, SwingPath, plan_swing
 from planner.sag.compensate import SagConfig, SagPrediction, predict_sag, stand_on
@@ -177,17 +178,17 @@ def search_step(
 ) -> StepPlan | NoStep:
     """A step of one leg that passes every check, or which check refused how many candidates."""
     leg, refused = request.leg, Counter[str]()
-    sag = _predict(kin, springs, belief, leg, request, config, payload_kg)
+    sag = foreseen_sag(kin, springs, belief, leg, request, config, payload_kg)
     if sag.status != "converged":
         return NoStep(reason=f"leg {leg + 1} cannot be lifted: the springs say {sag.status}", refused={sag.status: 1})
     airborne = not belief.planted[leg]
     contacts = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * belief.gravity_in_hex() / GRAVITY
-    aside = _aside(kin, belief, sag, contacts)
+    aside = sideways_response(kin, belief, sag, contacts)
     swing_pose = belief.world_from_hex
     if not airborne:
         swing_pose = swing_pose.compose(aside.hex_from_moved).compose(sag.standing_from_swinging)
     leg_pose = swing_pose.compose(sag.swinging_from_leg)
-    torque = _torque(kin, belief, sag, aside, contacts)
+    torque = lifting_torque(kin, belief, sag, aside, contacts)
     if torque > config.search.max_torque_fraction and not airborne:
         return NoStep(reason=f"lifting leg {leg + 1} asks {100 * torque:.0f} % of a joint's torque", refused={"torque": 1})
 
@@ -204,6 +205,7 @@ def search_step(
         lift=config.touchdown.approach_clearance * kin.spec.wheel.radius,
         payload_kg=payload_kg,
         world_from_leg=leg_pose,
+        standing=belief.planted,
     )
     refused.update({REASONS[code]: int(n) for code, n in enumerate(np.bincount(judged.reason)) if code and n})
     places, landed, lifted = places[judged.ok], judged.joints[judged.ok], judged.lifted[judged.ok]
@@ -219,7 +221,7 @@ def search_step(
             return NoStep(reason=f"leg {leg + 1} reaches no footfall that all joints can carry", refused=dict(refused))
     order = np.argsort(_cost(kin, belief, ground, request, config, places), kind="stable")
 
-    start = _lifted(kin, belief, leg, sag, airborne=airborne)
+    start = lifted_leg(kin, belief, leg, sag, airborne=airborne)
     if start is None:
         return NoStep(reason=f"leg {leg + 1} cannot lift high enough", refused={"lift_reach": 1})
     lift_in_hex, q_break, q_lift = start
@@ -238,9 +240,10 @@ def search_step(
     return NoStep(reason=f"no collision-free path for leg {leg + 1}", refused=dict(refused))
 
 
-def _predict(
+def foreseen_sag(
     kin: Kinematics, springs: FootSprings, belief: Belief, leg: int, request: StepRequest, config: StepConfig, payload: float
 ) -> SagPrediction:
+    """What lifting the leg does to the robot, the other legs in the air or on the ground as they are believed."""
     com = kin.com_in_hex(belief.joints, payload)
     return predict_sag(
         kin.wheels_in_hex(belief.motors),
@@ -251,12 +254,18 @@ def _predict(
         clearance=config.touchdown.lift_clearance * kin.spec.wheel.radius + request.extra_lift,
         springs=springs,
         config=config.sag,
+        lifts=np.where(_aloft(belief, leg), AIRBORNE, 0.0),
         gravity_in_hex=belief.gravity_in_hex(),
         docks=Docks.of(kin, belief.joints) if config.sag.docks else None,
     )
 
 
-def _aside(kin: Kinematics, belief: Belief, sag: SagPrediction, contacts: Wheels) -> HeldResponse:
+def _aloft(belief: Belief, leg: int) -> PerLegFlag:
+    """Which legs besides this one are in the air, shape (6,)."""
+    return np.asarray(~belief.planted & (np.arange(LEGS) != leg))
+
+
+def sideways_response(kin: Kinematics, belief: Belief, sag: SagPrediction, contacts: Wheels) -> HeldResponse:
     """What lifting the leg does sideways: nothing where the sag method knows no forces, or where the leg is in the air already."""
     standing = belief.planted & (np.arange(LEGS) != sag.leg)
     if not (sag.forces_swinging.any() and belief.planted[sag.leg]):
@@ -270,7 +279,7 @@ def _aside(kin: Kinematics, belief: Belief, sag: SagPrediction, contacts: Wheels
     )  # fmt: skip
 
 
-def _torque(kin: Kinematics, belief: Belief, sag: SagPrediction, aside: HeldResponse, contacts: Wheels) -> float:
+def lifting_torque(kin: Kinematics, belief: Belief, sag: SagPrediction, aside: HeldResponse, contacts: Wheels) -> float:
     """Largest joint torque over its limit with the leg in the air; 0 where the sag method knows no forces.
 
     Loads change as the springs foresee; what comes with them sideways is what the legs' own compliance drives, on top of what the
@@ -362,7 +371,7 @@ def on_path(belief: Belief, swayed: Vec3 | None) -> SE3:
     return pose if swayed is None else SE3(pose.rotation, pose.translation - swayed)
 
 
-def _lifted(
+def lifted_leg(
     kin: Kinematics, belief: Belief, leg: int, sag: SagPrediction, *, airborne: bool
 ) -> tuple[Vec3 | None, np.ndarray, np.ndarray] | None:
     """Axle after lift-off, motor angles where the wheel leaves the ground, and motor angles after lift-off.
@@ -444,9 +453,10 @@ def _try(
     if not standing.converged or share <= 0.0:
         refused["landed_load"] += 1
         return None
-    shift = plan_shift(
+    aloft = _aloft(belief, leg)
+    shift = BodyShift.none() if aloft.any() else plan_shift(
         kin, belief, leg=leg, next_leg=request.next_leg,
-        next_change=_next_change(kin, springs, belief, landed, request, config, payload_kg),
+        next_change=load_change(kin, springs, belief, landed, request, config, payload_kg),
         landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
         remaining=request.remaining, behind=request.behind, yaw=request.yaw, swayed=request.swayed,
         sway=config.sway, filled=ground.filled, gait=config.gait, stability=config.stability, limits=config.shift,
@@ -476,15 +486,15 @@ def _try(
         preview_joints=np.array(joints),
         preview_world_from_hex=tuple(poses),
         lift_clearance=touch.lift_clearance * spec.wheel.radius + request.extra_lift,
-        swing_margin=float(support_margin(com_swing, np.delete(contacts, leg, axis=0))),
-        landed_margin=float(cps_margin(com_landed, contacts)),
+        swing_margin=float(support_margin(com_swing, contacts[~aloft & (np.arange(LEGS) != leg)])),
+        landed_margin=float(support_margin(com_landed, contacts[~aloft]) if aloft.any() else cps_margin(com_landed, contacts)),
         sag=float(max(abs(drop), sag.tilt * np.linalg.norm(spec.hips_in_hex[leg]))),
         peak_torque_fraction=torque,
         planner_checks=checks,
     )
 
 
-def _next_change(
+def load_change(
     kin: Kinematics, springs: FootSprings, belief: Belief, landed: Joints, request: StepRequest, config: StepConfig, payload: float
 ) -> PerLeg:
     """By how much each wheel's load changes when the next leg lifts, shape (6,) [N]; zeros where nobody knows."""

@@ -13,12 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import SupportError
-from athlete_twin.geometry.arrays import Joints, Points3
+from athlete_twin.geometry.arrays import Joints, PerLegFlag, Points3
 from athlete_twin.geometry.polygon import conservative_distances, signed_distances
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import Kinematics
 from athlete_twin.model.leg_coms import leg_coms_in_hex
 from athlete_twin.model.reach import leg_ik
+from athlete_twin.model.spec import LEGS
 from planner.stability.margin import MARGINS, cps_tip_over_energy
 
 REASONS = ("ok", "unknown", "unreachable", "unreachable_above", "swing_margin", "landed_margin")
@@ -85,6 +86,7 @@ def stability_map(
     lift: float = 0.0,
     payload_kg: float = 0.0,
     world_from_leg: SE3 | None = None,
+    standing: PerLegFlag | None = None,
 ) -> StabilityMap:
     """Judges n footfalls of one leg while the other five stay where they are.
 
@@ -99,6 +101,8 @@ def stability_map(
         payload_kg: [kg]
         world_from_leg: hex frame of what carries the leg, where its deck twists on a dock; the chassis when None. It says
             what is within reach; of the margins, centimetres of one leg's mass are left out.
+        standing: which wheels are on the ground, the leg's own aside, shape (6,); all when None. While another one is in the air,
+            the plain margin counts with the leg down, as in any swing.
     """
     spec = kinematics.spec
     n, radius = len(footfalls_in_world), spec.wheel.radius
@@ -115,17 +119,20 @@ def stability_map(
     reachable = known & on_ground & above
 
     contacts = world_from_hex.apply(kinematics.wheels_in_hex(joints)) - radius * up_in_world
-    others = np.delete(contacts, leg, axis=0)
+    down = np.ones(LEGS, dtype=bool) if standing is None else standing.copy()
+    down[leg] = True
+    others = contacts[down & (np.arange(LEGS) != leg)]
     r = reachable
     com_landed = world_from_hex.apply(com_with_leg(kinematics, joints, leg, q[r], payload_kg))
     com_swing = world_from_hex.apply(com_with_leg(kinematics, joints, leg, lifted[r], payload_kg))
-    landed = np.broadcast_to(contacts, (len(com_landed), 6, 3)).copy()
+    landed = np.broadcast_to(contacts, (len(com_landed), LEGS, 3)).copy()
     landed[:, leg] = places[r]
+    landed = landed[:, down]
 
     margin, cps, swing, energy = (np.full(n, np.nan) for _ in range(4))
     margin[r] = signed_distances(com_landed[:, :2], landed[:, :, :2])
     cps[r] = conservative_distances(com_landed[:, :2], landed[:, :, :2])
-    swing[r] = signed_distances(com_swing[:, :2], np.broadcast_to(others[:, :2], (len(com_swing), 5, 2)))
+    swing[r] = signed_distances(com_swing[:, :2], np.broadcast_to(others[:, :2], (len(com_swing), len(others), 2)))
     if config.all_down == "energy":
         energy[r] = [cps_tip_over_energy(c, w) for c, w in zip(com_landed, landed, strict=True)]
 
@@ -133,7 +140,7 @@ def stability_map(
         "cps": cps >= config.min_margin,
         "support": margin >= config.min_margin,
         "energy": energy >= config.min_energy,
-    }[config.all_down]
+    }[config.all_down if down.all() else "support"]
     reason = np.select(
         [~known, ~on_ground, ~above, ~(swing >= config.min_margin), ~stands],
         [UNKNOWN, UNREACHABLE, UNREACHABLE_ABOVE, SWING_MARGIN, LANDED_MARGIN],
