@@ -7,7 +7,7 @@ import pytest
 
 from athlete_twin.assets import named_toml, read_toml
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.messages import CommandSequence, Fault, ImageRequest, Receipt
+from athlete_twin.messages import BodyMove, CommandSequence, Fault, ImageRequest, Receipt, Stop
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
 from planner.agent import GroundAgent, _swayed_so_far
@@ -146,6 +146,56 @@ def test_a_leg_that_hides_the_ground_it_needs_is_lifted_to_look_once_where_it_st
         agent._sent = None  # as if it had come down again, and nothing been seen
     none = agent.next(1.0)
     assert isinstance(none, NoStep) and none.reason.startswith("hidden")
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+@pytest.mark.parametrize("stopped", [2, 3, 4], ids=["unswung", "one swung", "both swung"])
+@pytest.mark.slow
+def test_two_legs_that_a_stop_leaves_in_the_air_come_down_one_after_the_other(robot, stopped):
+    """Neither steps twice, the chassis stays until both stand, and then the walk goes on."""
+    spec = load_spec(robot)
+    content = read_toml(named_toml("variants", "blind")) | {"gait": "opposite_pairs"}
+    agent = GroundAgent(spec, planner_config(content, spec, name="pairs"), goal_in_world=np.array([3.0, 0.0]), seed=0)
+    mock = MockAthlete(spec)
+    t = 1.0
+    for message in mock.advance(t):
+        agent.observe(message, t)
+    together = proposal(agent, t)
+    pair = [together.leg, *(landing.leg for landing in together.together)]
+    assert len(pair) == 2
+
+    def sends(message) -> None:
+        for answer in mock.receive(message):
+            agent.observe(answer, t)
+
+    sends(agent.decide(APPROVE, t))
+    stop, landed = Stop(seq=1, robot_id=spec.name, t=t, reason="test"), []
+    while len(landed) < 2:
+        t += 0.25
+        for message in mock.advance(t):
+            agent.observe(message, t)
+        if stop is not None and mock.executive.command_index == stopped:
+            sends(replace(stop, t=t))
+            stop = None
+        action = agent.next(t)
+        if not isinstance(action, Proposal):
+            assert isinstance(action, Waiting), action
+            continue
+        assert action.kind == "step" and not action.together and action.leg in pair, action.text
+        assert (~agent.belief.planted).sum() == 2 - len(landed)
+        commands = agent.decide(APPROVE, t)
+        moves = [c for c in commands.commands if isinstance(c, BodyMove)]
+        assert not moves or len(landed) == 1
+        landed.append(action.leg)
+        sends(commands)
+        while mock.busy:
+            t += 0.25
+            for message in mock.advance(t):
+                agent.observe(message, t)
+    assert sorted(landed) == sorted(pair)
+    following = agent.next(t)
+    assert isinstance(following, Proposal) and following.together and agent.belief.planted.all()
+    assert following.leg not in pair
 
 
 def test_a_shift_that_breaks_off_has_swayed_as_far_as_it_went(agent):

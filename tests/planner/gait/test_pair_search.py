@@ -30,9 +30,16 @@ def pair(robot, ground, *, config=None, first=FIRST, **changes) -> StepPlan | No
     )  # fmt: skip
 
 
+PLANS: dict[str, StepPlan | NoStep] = {}
+"""on open ground, by robot: one search serves all tests"""
+
+
 @pytest.fixture
 def plan(robot, on, field) -> StepPlan:
-    found = pair(robot, on(robot, field()))
+    name = robot.spec.name
+    if name not in PLANS:
+        PLANS[name] = pair(robot, on(robot, field()))
+    found = PLANS[name]
     assert isinstance(found, StepPlan), found
     return found
 
