@@ -649,7 +649,11 @@ class GroundAgent:
         )  # fmt: skip
         most = "at most " if touch.method == "guarded" else ""
         text = f"leg {plan.leg + 1} goes further down where it is, {most}{100 * depth:.0f} cm"
-        return self._as_proposal(lowered, belief, ground, t, commands=commands, text=text)
+        proposal = self._as_proposal(lowered, belief, ground, t, commands=commands, text=text)
+        if np.linalg.norm((contact - belief.contacts_in_world[plan.leg])[:2]) < self.config.step.gait.min_step:
+            # Back to where it stood, after a look at what it hid: that is no step, and makes no gait cycle.
+            proposal = self._proposal = replace(proposal, kind="shift")
+        return proposal
 
     def _ground(self, belief: Belief) -> Ground:
         """The terrain for one plan: heights with unknown cells, heights without, and the footfalls on it."""

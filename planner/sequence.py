@@ -1,7 +1,7 @@
 """Plans to command sequences: the last thing the ground does before the link.
 
-A step goes up as one sequence, so it costs one command cycle: lift-off, swing, descent (guarded or to its planned end), chassis shift, pictures
-for the next step. The executive stops it at the first fault.
+A step goes up as one sequence, so it costs one command cycle: lift-off, swing, descent (guarded or to its planned end), chassis
+shift, pictures for the next step. The executive stops it at the first fault.
 """
 
 from __future__ import annotations

@@ -204,7 +204,7 @@ def search_step(
         footfalls_in_world=places,
         world_from_hex=swing_pose,
         config=config.stability,
-        lift=config.touchdown.approach_clearance * kin.spec.wheel.radius,
+        lift=config.touchdown.approach_clearance * kin.spec.wheel.radius + sag.terrain_raise,
         payload_kg=payload_kg,
         world_from_leg=leg_pose,
     )
@@ -407,9 +407,12 @@ def _try(
     spec, leg, touch = kin.spec, request.leg, config.touchdown
     hex_from_world = leg_pose.inverse()
     axle = place + spec.wheel.radius * UP
-    above, down = hex_from_world.apply(axle + touch.approach_clearance * spec.wheel.radius * UP), hex_from_world.rotate(-UP)
+    # On a lifted map the way through the air ends on the ground as lifted: what is left is for the chassis to come back up.
+    approach = touch.approach_clearance * spec.wheel.radius + sag.terrain_raise
+    above, down = hex_from_world.apply(axle + approach * UP), hex_from_world.rotate(-UP)
     depth = sag.reload + (touch.search_depth if touch.method == "guarded" else 0.0)
-    ends = np.array([above, hex_from_world.apply(axle), hex_from_world.apply(axle - depth * UP)])
+    mapped = hex_from_world.apply(axle + sag.terrain_raise * UP)
+    ends = np.array([above, mapped, hex_from_world.apply(axle - depth * UP)])
     q, ok = leg_ik(spec, leg, ends, last_link_in_hex=down)
     # With its load back on the wheel the chassis is back up, and the leg's deck no longer twisted.
     hex_from_landed = belief.world_from_hex.inverse()
