@@ -1,7 +1,7 @@
 """Plans to command sequences: the last thing the ground does before the link.
 
-A step goes up as one sequence, so it costs one command cycle: lift-off, swing, guarded descent, chassis shift, pictures
-for the next step. The executive stops it at the first fault.
+A step goes up as one sequence, so it costs one command cycle: lift-off, swing, descent (guarded or to its planned end), chassis
+shift, pictures for the next step. The executive stops it at the first fault.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SMALLEST_SHIFT = 1e-3
 
 
 def step_commands(plan: StepPlan) -> list[Command]:
-    """Lift-off, swing, guarded descent and shift of one step; of two opposite legs each with both legs before the next."""
+    """Lift-off, swing, descent and shift of one step; of two opposite legs each with both legs before the next."""
     parts = plan.parts
     commands: list[Command] = [
         LegMove(leg=part.leg, wheel_in_hex=part.lift_in_hex, guard="break_contact") for part in parts if part.lift_in_hex is not None
@@ -27,9 +27,8 @@ def step_commands(plan: StepPlan) -> list[Command]:
     commands += [
         JointMove(leg=part.leg, waypoints=part.swing, corner_tolerance=part.swing_corner_tolerance) for part in parts
     ]
-    commands += [
-        LegMove(leg=part.leg, wheel_in_hex=part.descent_in_hex, guard="contact", contact_load=part.contact_load) for part in parts
-    ]
+    for part in parts:
+        commands += lower_commands(part, part.descent_in_hex)
     return commands + shift_commands(plan.shift)
 
 
@@ -47,9 +46,9 @@ def shift_commands(shift: BodyShift) -> list[Command]:
     ]
 
 
-def lower_commands(leg: int, axle_in_hex: Vec3, contact_load: float) -> list[Command]:
-    """A guarded descent alone: the ground lay lower than the map said."""
-    return [LegMove(leg=leg, wheel_in_hex=axle_in_hex, guard="contact", contact_load=contact_load)]
+def lower_commands(plan: StepPlan, axle_in_hex: Vec3) -> list[Command]:
+    """The descent of a step alone, at most to `axle_in_hex` [m]: the ground may lie lower than the map said."""
+    return [LegMove(leg=plan.leg, wheel_in_hex=axle_in_hex, guard=plan.descent_guard, contact_load=plan.contact_load)]
 
 
 def straighten_commands(

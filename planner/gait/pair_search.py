@@ -202,7 +202,7 @@ def _descent(
     if sag.status != "converged":
         return None
     carried: SE3 = landed.world_from_hex.compose(sag.standing_from_swinging).compose(sag.swinging_from_leg)
-    depth = sag.reload + config.touchdown.search_depth
+    depth = sag.reload + (config.touchdown.search_depth if config.touchdown.method == "guarded" else 0.0)
     axle = carried.inverse().apply(two.footfall_in_world + (kin.spec.wheel.radius - depth) * UP)
     last_link = kin.leg_wheel(two.leg, two.swing[-1]).rotation[:, 0]
     _, reached = leg_ik(kin.spec, two.leg, axle[None], last_link_in_hex=last_link)
