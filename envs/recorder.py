@@ -192,6 +192,7 @@ class Recorder:
             "kind": proposal.kind,
             "leg": proposal.leg,
             "footfall_in_world": proposal.footfall_in_world,
+            "together": [{"leg": p.leg, "footfall_in_world": p.footfall_in_world} for p in proposal.together],
             "sequence_id": proposal.sequence.sequence_id,
             "predicted_margin": proposal.predicted_margin,
             "predicted_sag": proposal.predicted_sag,

@@ -58,7 +58,7 @@ def replay(path: Path, agent: GroundAgent) -> Iterator[Replayed]:
 
 
 def same_proposal(replayed: Replayed) -> bool:
-    """Whether the operator would have been shown the same: leg, footfall, margin, sag and words, to the last bit."""
+    """Whether the operator would have been shown the same: legs, footfalls, margin, sag and words, to the last bit."""
     proposal, shown = replayed.proposal, replayed.shown
     figures = {"predicted_margin": proposal.predicted_margin, "predicted_sag": proposal.predicted_sag}
     return (
@@ -66,6 +66,8 @@ def same_proposal(replayed: Replayed) -> bool:
         and proposal.leg == shown["leg"]
         and proposal.text == shown["text"]
         and proposal.footfall_in_world.tolist() == shown["footfall_in_world"]
+        and [[p.leg, p.footfall_in_world.tolist()] for p in proposal.together]
+        == [[p["leg"], p["footfall_in_world"]] for p in shown.get("together", ())]
         and all((v if np.isfinite(v) else None) == shown[k] for k, v in figures.items())
     )
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.arrays import PerLeg, Vec2, Vec3
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
@@ -61,12 +62,11 @@ SECONDS_PER_PAIR = 1.0
 """charged for one stereo pair [s]"""
 STANDING_LOAD = 150.0
 """after a fault, a wheel whose torques speak of more than this stands [N]"""
-UNKNOWN_RISE = 0.10
-"""ground nobody saw is taken for so much higher than the highest beside it, for collisions: with the swing's own
-clearance rocks of 0.17 m (SDM-B) hide there without harm [m]"""
 FLAT_RADIUS = 8.0
 """of the flat map of a variant without pictures [m]"""
 MAX_TORQUE_FRACTION = 1.0
+PLAN_STREAM = 7001
+"""of the sampling planners' generators, beside the seed"""
 
 
 class GroundAgent:
@@ -84,6 +84,8 @@ class GroundAgent:
     ) -> None:
         self.spec, self.config = spec, config
         self.goal = np.asarray(goal_in_world, dtype=float)
+        if self.goal.shape != (2,) or not np.isfinite(self.goal).all():
+            raise PlanningError(f"goal is {goal_in_world} m, must be two finite numbers")
         self.kin = Kinematics(spec)
         self.springs = config.step.sag.springs(spec)
         self.eyes = Eyes(self.kin, config, timer=timer)
@@ -95,7 +97,7 @@ class GroundAgent:
         self.last_plan: StepPlan | None = None
         self._filter = BeliefFilter(self.kin, self.springs, payload_kg=payload_kg, config=config.wheel_fit)
         self._payload, self._timer = payload_kg, timer
-        self._rng = np.random.default_rng([seed, 7001])
+        self._seed = seed
         self._belief: Belief | None = None
         self._telemetry: Telemetry | None = None
         self._sent: Underway | None = None
@@ -220,13 +222,15 @@ class GroundAgent:
             elif refused is None:
                 self._surveyed, self._recovery.retreat = True, None
             else:
-                self._recovery.refuse(refused)
+                self._recovery.reject(refused)
         elif decision.kind == "edit_footfall" and decision.footfall_in_world is not None:
             if plan is None:  # a look around, a lift-off, a move aside or a way back has no footfall: the proposal comes again
                 self._proposal, self._lift, self._drive, self._aside = proposal, lift, drive, aside
                 return None
-            self._forced_xy = np.asarray(decision.footfall_in_world[:2], dtype=float)
-            self._forced_leg = plan.leg
+            wanted = np.asarray(decision.footfall_in_world[:2], dtype=float)
+            # Of two legs that step together the one whose footfall it is nearest to, which then steps alone.
+            nearest = min(plan.parts, key=lambda part: float(np.linalg.norm(part.footfall_in_world[:2] - wanted)))
+            self._forced_xy, self._forced_leg = wanted, nearest.leg
         elif decision.kind == "choose_leg":
             self._forced_leg = decision.leg
         elif decision.kind == "choose_cameras":
@@ -251,6 +255,7 @@ class GroundAgent:
             self._filter.lift(command.leg)
         elif isinstance(command, LegMove) and command.lands:
             self._filter.land(command.leg)
+            sent.landed.add(command.leg)
 
     def _digest(self, sent: Underway) -> None:
         """A sequence has ended: update the belief, fuse its pictures, take note of a fault."""
@@ -275,7 +280,10 @@ class GroundAgent:
             if self._swayed is not None:
                 self._swayed = self._swayed + sent.plan.preview_world_from_hex[0].rotate(shift.sway_in_hex)
             self._behind = max(0.0, self._behind + regular - advance)
-            self._recovery.reset()
+            self._forced_leg = None
+            # While another leg hangs, what was learned of it is still needed.
+            if self._filter.planted.all():
+                self._recovery.reset()
             self._asides.stepped()
         self._belief = self._filter.update(self._telemetry)
         if sent.fault is not None and sent.plan is not None and self._swayed is not None:
@@ -318,10 +326,19 @@ class GroundAgent:
                 self._asides.give_up()
             self._recovery.attempts += 1
             return
+        together = plan.companion is not None
+        if together:
+            for leg in sorted(sent.landed):
+                self.steps_taken += 1
+                self.stepped[leg] += 1
         # Of two legs that step together the fault is one's: that of the command in execution, whoever's joint it names.
-        command = sent.sequence.commands[fault.command_index] if fault.command_index >= 0 else None
-        plan = plan.of_leg(command.leg) if isinstance(command, LegMove | JointMove) else plan
+        commands = sent.sequence.commands
+        command = commands[fault.command_index] if 0 <= fault.command_index < len(commands) else None
+        plan = plan.of_leg(command.leg if isinstance(command, LegMove | JointMove) else plan.leg)
         self._faulty = plan.leg
+        if together and plan.leg in sent.landed:  # both stand: it met the shift or the pictures
+            self._recovery.attempts += 1
+            return
         self._recovery.fault(fault, plan, self._telemetry.motors[plan.leg])
         if self._recovery.exhausted:
             self._stopped = f"{self._recovery.attempts} faults at one step, the last: {fault.text}"
@@ -359,7 +376,7 @@ class GroundAgent:
         attempt = None if self._faulty is None else self._attempts.get(self._faulty)
         if self._recovery.retreat is not None and attempt is not None:
             return self._retreat(belief, ground, attempt, self._recovery.retreat, t)
-        if len(in_air) and self._recovery.lowers and attempt is not None:
+        if attempt is not None and attempt.leg in in_air and self._recovery.lowers:
             return self._lower(belief, ground, attempt, t)
         with self._timer("route"):
             ways = self.guide.ways(replace(belief, world_from_hex=on_path(belief, self._swayed)), ground)
@@ -444,8 +461,13 @@ class GroundAgent:
         self._ground_s += SECONDS_PER_PLAN
         with self._timer("plan"):
             return search_step(
-                self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload, rng=self._rng
-            )
+                self.kin, self.springs, belief, ground, request, config=self.config.step, payload_kg=self._payload,
+                rng=self._plan_rng(request.leg),
+            )  # fmt: skip
+
+    def _plan_rng(self, leg: int) -> np.random.Generator:
+        """Of one plan: an operator's question or a refused search changes nothing about those that follow."""
+        return np.random.default_rng([self._seed, PLAN_STREAM, self.steps_taken, leg])
 
     def _search_pairs(self, belief: Belief, ground: Ground, way: Way, in_air: np.ndarray) -> StepPlan | list[NoStep]:
         """A step of two opposite legs whose turn it is, of a gait that has such, or why none of them may."""
@@ -458,11 +480,12 @@ class GroundAgent:
             for pair in pairs:
                 upcoming = self._upcoming(belief, way.heading, pair)[0]
                 one, two = (replace(self._request(belief, way, leg, cautious=cautious, wide=False), next_leg=upcoming) for leg in pair)
-                self._ground_s += SECONDS_PER_PLAN
+                self._ground_s += SECONDS_PER_PLAN * len(pair)
                 with self._timer("plan"):
                     found = search_pair(
-                        self.kin, self.springs, belief, ground, one, two, config=self.config.step, payload_kg=self._payload, rng=self._rng
-                    )
+                        self.kin, self.springs, belief, ground, one, two, config=self.config.step, payload_kg=self._payload,
+                        rng=self._plan_rng(one.leg),
+                    )  # fmt: skip
                 if isinstance(found, StepPlan):
                     return found
                 refused.append(found)
@@ -704,8 +727,9 @@ class GroundAgent:
                 grid = filled = cautious = fused.filled("nearest").grid
             else:
                 # What nobody saw may hide a rock as high as the highest beside it, and a little more.
-                grid, filled = fused.grid, fused.filled("nearest").grid
-                guessed = fused.filled("highest", margin=UNKNOWN_RISE)
+                guessed = fused.filled("highest", margin=collision.unknown_rise)
+                grid = fused.grid
+                filled = guessed.grid if config.unknown_terrain == "obstacle" else fused.filled("nearest").grid
                 # Where the map is vague a swing keeps farther off, so far that its clearance is of the vaguest height allowed for.
                 cautious = guessed.raised(collision.map_deviations, over=collision.map_error_covered).grid
             # A cell that is believed to be as high as its neighbours is believed to be sure; any other of which nobody knows is not.
@@ -757,8 +781,10 @@ class GroundAgent:
             predicted_margin=min(plan.swing_margin, plan.landed_margin),
             predicted_sag=plan.sag,
             predicted_torque_fraction=plan.peak_torque_fraction,
-            predicted_clearance=float("nan") if plan.lift_in_hex is None else plan.lift_clearance,
-            unknown_share=unknown_share(ground.heights, plan.footfall_in_world, radius=self.spec.wheel.radius),
+            predicted_clearance=float("nan") if plan.lift_in_hex is None else min(part.lift_clearance for part in plan.parts),
+            unknown_share=max(
+                unknown_share(ground.heights, part.footfall_in_world, radius=self.spec.wheel.radius) for part in plan.parts
+            ),
             text=text or f"{_told(plan)}, {plan.swing_time:.0f} s through the air, then the chassis shifts by {shift:.0f} cm{cut}",
             together=tuple(Landing(leg=part.leg, footfall_in_world=part.footfall_in_world.copy()) for part in plan.parts[1:]),
         )
@@ -806,7 +832,7 @@ class GroundAgent:
         self._sent = Underway(sequence=sequence, plan=plan, pairs_awaited=awaited, lift=lift, drive=drive, aside=aside)
         attempt = plan or lift
         if attempt is not None:
-            self._attempts |= {part.leg: part for part in attempt.parts}
+            self._attempts |= {part.leg: attempt.of_leg(part.leg) for part in attempt.parts}
         if any(isinstance(c, JointMove) for c in sequence.commands):
             self._recovery.retreat = None
         return sequence

@@ -17,7 +17,8 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
                                     # single_steps (2008: the leg whose wheel is farthest behind, whatever stepped before)
     body_motion = "straight"        # straight, sway (off the path to where the next swing asks least of the joints, footfalls kept)
     touchdown = "guarded"           # guarded (until the wheel carries its share), planned (to a height, without feeling the ground)
-    unknown_terrain = "refuse"      # refuse, flat (an unknown cell is as high as its neighbours)
+    unknown_terrain = "refuse"      # refuse (no footfall; swings keep clear of it, `[settings.collision] unknown_rise` over the highest
+                                    # beside it, while they find a way), obstacle (never otherwise), flat (as high as the nearest known)
     level_deck_deg = 0.5
 
 A variant may also say, and need not:
@@ -86,7 +87,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "gait": GAITS,
     "body_motion": ("straight", "sway"),
     "touchdown": TOUCHDOWNS,
-    "unknown_terrain": ("refuse", "flat"),
+    "unknown_terrain": ("refuse", "obstacle", "flat"),
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {"route": ROUTES, "driving": ("off", "on")}
 """choices that a variant may leave out: the first is taken then"""
@@ -181,6 +182,8 @@ def planner_config(content: Mapping[str, Any], spec: RobotSpec, *, name: str) ->
         raise ConfigError(f"variant {name}: driving = 'on' needs route = 'map': only a route says where it is smooth enough")
     if chosen["gait"] == "opposite_pairs" and chosen["fusion"] == "lift_and_image":
         raise ConfigError(f"variant {name}: gait = 'opposite_pairs' lifts two legs, fusion = 'lift_and_image' one to look; choose one")
+    if chosen["gait"] == "opposite_pairs" and chosen["body_motion"] == "sway":
+        raise ConfigError(f"variant {name}: body_motion = 'sway' makes ready for one leg, gait = 'opposite_pairs' lifts two; choose one")
     level = content.get("level_deck_deg", 0.0)
     if not isinstance(level, int | float) or not np.isfinite(level) or not 0.0 <= level <= 20.0:
         raise ConfigError(f"variant {name}: level_deck_deg = {level!r} is not a number from 0 to 20")

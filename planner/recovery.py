@@ -56,6 +56,12 @@ class Recovery:
         """Step elsewhere the next time."""
         self._refused += [part.footfall_in_world[:2] for part in plan.parts]
 
+    def reject(self, plan: StepPlan) -> None:
+        """The operator does not want it: step elsewhere, and where a wheel would go further down, not here."""
+        self.refuse(plan)
+        if self.lowerings:
+            self.lowerings = LOWERINGS + 1
+
     def fault(self, fault: Fault, plan: StepPlan, leg_motors: LegJoints) -> None:
         """Take note of a fault of a step, the leg's motors standing at `leg_motors` [rad]."""
         self.attempts += 1

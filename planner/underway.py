@@ -33,6 +33,8 @@ class Underway:
     drive: DrivePlan | None = None
     aside: AsidePlan | None = None
     pairs: list[StereoPair] = field(default_factory=list)
+    landed: set[int] = field(default_factory=set)
+    """legs whose descent is known to be completed, indices"""
     heard: bool = False
     """whether the robot is known to have it"""
     outcome: str = ""

@@ -48,7 +48,7 @@ class Options:
 
     robots: tuple[str, ...] = ("sdm_b", "t12")
     parts: tuple[str, ...] = ("strides", "sway", "slopes", "twin")
-    """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin, steps_twin and swings_twin"""
+    """any of strides, sway, slopes, steps, twin, strides_twin, slopes_twin, steps_twin and swings_twin, or all"""
     obstacles: tuple[str, ...] = ("ledge", "ditch", "wall")
     """of `steps` and `steps_twin`"""
     seed: int = 0
@@ -62,13 +62,14 @@ class Options:
 def main(arguments: list[str] | None = None) -> int:
     """Runs the script; the exit status."""
     options = tyro.cli(Options, args=arguments, description=__doc__)
-    unknown = [p for p in options.parts if p not in PARTS]
+    parts = PARTS if options.parts == ("all",) else options.parts
+    unknown = [p for p in parts if p not in PARTS]
     strange = [o for o in options.obstacles if o not in gait_steps.OBSTACLES]
     if strange:
         sys.stderr.write(f"bench_gait: obstacle {strange[0]!r} is not one of {', '.join(gait_steps.OBSTACLES)}\n")
         return 2
     if unknown or options.seed < 0:
-        wrong = f"part {unknown[0]!r} is not one of {', '.join(PARTS)}" if unknown else f"--seed {options.seed} is negative"
+        wrong = f"part {unknown[0]!r} is not one of {', '.join(PARTS)}, or all" if unknown else f"--seed {options.seed} is negative"
         sys.stderr.write(f"bench_gait: {wrong}\n")
         return 2
     rows: list[Row] = []
@@ -77,11 +78,11 @@ def main(arguments: list[str] | None = None) -> int:
         for robot in options.robots:
             load_spec(robot)
         with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
-            task = progress.add_task("", total=len(options.robots) * len(options.parts))
+            task = progress.add_task("", total=len(options.robots) * len(parts))
             for robot in options.robots:
                 gaits = gait_figures.Gaits(robot)
                 gaits.obstacles = options.obstacles
-                for part in options.parts:
+                for part in parts:
                     progress.update(task, description=f"{part} {robot}")
                     if part in ROWS:
                         rows += ROWS[part](gaits, options.seed)

@@ -96,7 +96,7 @@ def walk_slope(
 def _slope(
     gaits: Gaits, seed: int, degrees: float, deck: str, soil: str, stride: float, hint: SlopeStance | None = None
 ) -> list[Row]:
-    """The first row says by its verdict whether the cycle was finished without a strike."""
+    """The first row says by its verdict whether the cycle was finished without a strike and within every joint's torque."""
     what = f"{gaits.spec.name}: twin, {degrees:g} deg, deck {deck}, {'sand' if soil == SAND else 'concrete'}, stride {stride:g} m"
     try:
         found = walk_slope(gaits, seed, degrees, deck, soil, stride, hint)
@@ -110,7 +110,7 @@ def _slope(
     struck = f", struck {', '.join(walked.struck)}" if walked.struck else ""
     done = row(f"{what}, advance, {told(stance)}{ended}{struck}", walked.advance, "m", peer_name="planned", peer=stride,
                target="> 0")  # fmt: skip
-    done["met"] = not walked.ended_by and not walked.struck
+    done["met"] = not walked.ended_by and not walked.struck and walked.peak <= 1.0
     return [
         done,
         row(f"{what}, peak torque", 100.0 * walked.peak, "%", peer_name="planned", peer=100.0 * stance.verdict.peak),
@@ -133,11 +133,12 @@ def stride_rows(gaits: Gaits, seed: int) -> list[Row]:
                 yard.close()
             what = f"{gaits.spec.name}: twin, stride {stride:.2f} m of {planned:.2f} m planned, {how}"
             ended = f", ended in {walked.ended_by}" if walked.ended_by else ""
-            done = row(f"{what}, advance{ended}", walked.advance, "m", peer_name="planned", peer=stride, target="> 0")
-            done["met"] = not walked.ended_by
+            struck = f", struck {', '.join(walked.struck)}" if walked.struck else ""
+            done = row(f"{what}, advance{ended}{struck}", walked.advance, "m", peer_name="planned", peer=stride, target="> 0")
+            done["met"] = not walked.ended_by and not walked.struck and walked.peak <= 1.0
             peak = 100.0 * judge_cycle(cycle).peak
             out += [done, row(f"{what}, peak torque", 100.0 * walked.peak, "%", peer_name="planned", peer=peak)]
-            if not walked.ended_by:
+            if done["met"]:
                 break
     return out
 

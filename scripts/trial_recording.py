@@ -75,6 +75,8 @@ class Shown:
     leg: int
     footfall: np.ndarray
     """believed, in world [m]"""
+    legs: tuple[int, ...]
+    """that step together, the one of `leg` first; none of a shift"""
     text: str
     margin: float | None
     sag: float | None
@@ -152,13 +154,13 @@ class TrialRecording:
             for leg in range(LEGS):
                 if before[leg] != "stance" and now[leg] == "stance":
                     t = float(self.states.t[k + 1])
-                    asked = [n for n, p in enumerate(steps) if p.leg == leg and p.decided <= t]
+                    asked = [n for n, p in enumerate(steps) if leg in p.legs and p.decided <= t]
                     if not asked:
                         continue
                     contact = self.states.wheels_in_world[k + 1, leg] - [0.0, 0.0, self.spec.wheel.radius]
                     out.append(Footfall(number=asked[-1] + 1, leg=leg, t=t, contact=contact))
         # A wheel that came down, was lifted and came down again for one proposal counts where it stayed.
-        return tuple({f.number: f for f in out}.values())
+        return tuple({(f.number, f.leg): f for f in out}.values())
 
     def map_error(self) -> HeightGrid | None:
         """Believed height less true, on the cells of the believed map [m]."""
@@ -265,6 +267,7 @@ def _proposals(lines: dict[str, list[Recorded]]) -> tuple[Shown, ...]:
                 kind=c["kind"],
                 leg=c["leg"],
                 footfall=np.array(c["footfall_in_world"]),
+                legs=(c["leg"], *(other["leg"] for other in c.get("together", ()))) if c["leg"] >= 0 else (),
                 text=c["text"],
                 margin=c["predicted_margin"],
                 sag=c["predicted_sag"],

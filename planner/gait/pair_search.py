@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import LegJoints, Vec3
+from athlete_twin.geometry.arrays import LegJoints, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.reach import leg_ik
@@ -39,7 +39,7 @@ from planner.gait.step_search import (
 from planner.sag.compensate import SagPrediction, stand_on
 from planner.sag.docked import Docks
 from planner.sag.sag_model import FootSprings
-from planner.stability.margin import cps_margin, support_margin
+from planner.stability.margin import cps_margin, cps_tip_over_energy, support_margin
 
 
 def search_pair(
@@ -98,15 +98,20 @@ def search_pair(
     two = search_step(kin, springs, over, ground, replace(second, next_leg=None), config=config, payload_kg=payload_kg, rng=rng)
     if isinstance(two, NoStep):
         return replace(two, reason=f"{who}: {two.reason}")
+    one = replace(one, lift_clearance=one.lift_clearance - extra)
     joined = _joined(kin, springs, belief, ground, first, one, two, config, payload_kg)
     if isinstance(joined, str):
         return NoStep(reason=f"{who}: {joined}", refused=Counter({joined: 1}))
-    contacts = patches_in_hex(kin, belief.joints, belief.gravity_in_hex())
-    leaving = lifting_torque(kin, belief, alone[a], sideways_response(kin, belief, alone[a], contacts), contacts)
-    peak = max(leaving, one.peak_torque_fraction, two.peak_torque_fraction)
+    leaving = _alone_up(kin, belief, alone[a])
     if leaving > config.search.max_torque_fraction:
         return NoStep(reason=f"{who}: lifting leg {a + 1} asks {100 * leaving:.0f} % of a joint's torque", refused={"torque": 1})
-    return replace(joined, peak_torque_fraction=peak)
+    return replace(joined, peak_torque_fraction=max(leaving, joined.peak_torque_fraction))
+
+
+def _alone_up(kin: Kinematics, belief: Belief, sag: SagPrediction) -> float:
+    """Largest joint torque over its limit while one leg of the pair is in the air and the other stands."""
+    contacts = patches_in_hex(kin, belief.joints, belief.gravity_in_hex())
+    return lifting_torque(kin, belief, sag, sideways_response(kin, belief, sag, contacts), contacts)
 
 
 def _one_up(
@@ -120,13 +125,13 @@ def _one_up(
     joints[leg] = motors[leg] = leg_joints
     planted, forces = belief.planted.copy(), belief.forces + aside.forces
     planted[leg] = False
-    if sag.forces_swinging.any():
-        forces = forces + sag.forces_swinging - sag.forces_standing
+    up = -belief.gravity_in_hex() / GRAVITY
+    # Of what the springs foresee the loads alone: what goes sideways with them is the response's.
+    forces = forces + np.outer((sag.forces_swinging - sag.forces_standing) @ up, up)
     forces[leg] = 0.0
     if footfall is not None:
         places[leg] = footfall
     pose = belief.world_from_hex.compose(aside.hex_from_moved).compose(sag.standing_from_swinging)
-    up = -belief.gravity_in_hex() / GRAVITY
     return replace(
         belief, joints=joints, motors=motors, world_from_hex=pose, contacts_in_world=places, planted=planted, forces=forces,
         loads=np.maximum(forces @ up, 0.0), interaction=np.zeros_like(belief.interaction),
@@ -157,9 +162,15 @@ def _joined(
         joints[part.leg] = motors[part.leg] = q[0]
         places[part.leg], interaction[part.leg] = part.footfall_in_world, 0.0
     landed = replace(belief, joints=joints, motors=motors, contacts_in_world=places, interaction=interaction)
-    down = _descent(kin, springs, landed, request, two, config, payload_kg)
-    if down is None:
-        return "descent_reach"
+    sag = foreseen_sag(kin, springs, landed, two.leg, replace(request, extra_lift=0.0), config, payload_kg)
+    if sag.status != "converged":
+        return sag.status
+    down = _descent(kin, landed, two, sag, config)
+    if isinstance(down, str):
+        return down
+    landing = _alone_up(kin, landed, sag)
+    if landing > config.search.max_torque_fraction:
+        return "torque"
     weight, gravity = (spec.mass + payload_kg) * GRAVITY, belief.gravity_in_hex()
     com = kin.com_in_hex(joints, payload_kg)
     standing = stand_on(
@@ -168,6 +179,8 @@ def _joined(
     share = float(standing.forces[two.leg] @ -gravity / GRAVITY)
     if not standing.converged or share <= 0.0:
         return "landed_load"
+    if refusal := _landed_refusal(pose.apply(com), places, config):
+        return refusal
     shift = plan_shift(
         kin, landed, leg=two.leg, next_leg=request.next_leg,
         next_change=load_change(kin, springs, landed, joints, request, config, payload_kg),
@@ -186,7 +199,8 @@ def _joined(
         companion=replace(two, descent_in_hex=down, contact_load=config.touchdown.load_fraction * share),
         landed_margin=float(cps_margin(pose.apply(com), places)),
         swing_margin=min(one.swing_margin, two.swing_margin, float(over)),
-        sag=max(one.sag, two.sag),
+        sag=_drop(belief, two.world_from_hex_swing, spec.hips_in_hex[[one.leg, two.leg]]),
+        peak_torque_fraction=max(one.peak_torque_fraction, two.peak_torque_fraction, landing),
         swing_time=one.swing_time + two.swing_time,
         planner_checks=one.planner_checks + two.planner_checks,
         preview_joints=np.concatenate([belief.joints[None], one.preview_joints, two.preview_joints, joints[None]]),
@@ -194,16 +208,36 @@ def _joined(
     )
 
 
-def _descent(
-    kin: Kinematics, springs: FootSprings, landed: Belief, request: StepRequest, two: StepPlan, config: StepConfig, payload_kg: float
-) -> Vec3 | None:
-    """Lowest axle of the second leg's descent in hex, the first leg standing again [m]; None where the leg does not reach it."""
-    sag = foreseen_sag(kin, springs, landed, two.leg, replace(request, extra_lift=0.0), config, payload_kg)
-    if sag.status != "converged":
-        return None
+def _descent(kin: Kinematics, landed: Belief, two: StepPlan, sag: SagPrediction, config: StepConfig) -> Vec3 | str:
+    """Lowest axle of the second leg's descent in hex, the first leg standing again [m]; else why it cannot be.
+
+    As the first leg loads its wheel, the chassis sinks towards the second, whose wheel must still hang clear of what the map errs by.
+    """
+    touch, radius = config.touchdown, kin.spec.wheel.radius
     carried: SE3 = landed.world_from_hex.compose(sag.standing_from_swinging).compose(sag.swinging_from_leg)
-    depth = sag.reload + (config.touchdown.search_depth if config.touchdown.method == "guarded" else 0.0)
-    axle = carried.inverse().apply(two.footfall_in_world + (kin.spec.wheel.radius - depth) * UP)
+    hanging = carried.apply(kin.leg_wheel(two.leg, two.swing[-1]).translation)[2] - radius - two.footfall_in_world[2]
+    if hanging < 0.5 * touch.approach_clearance * radius:
+        return "hangs_low"
+    depth = sag.reload + (touch.search_depth if touch.method == "guarded" else 0.0)
+    axle = carried.inverse().apply(two.footfall_in_world + (radius - depth) * UP)
     last_link = kin.leg_wheel(two.leg, two.swing[-1]).rotation[:, 0]
     _, reached = leg_ik(kin.spec, two.leg, axle[None], last_link_in_hex=last_link)
-    return axle if reached[0] else None
+    return np.asarray(axle) if reached[0] else "descent_reach"
+
+
+def _landed_refusal(com_in_world: Vec3, contacts_in_world: Wheels, config: StepConfig) -> str:
+    """What the rule for all wheels down says of the stance that both steps make; empty when nothing."""
+    rule = config.stability
+    stands = {
+        "cps": lambda: cps_margin(com_in_world, contacts_in_world) >= rule.min_margin,
+        "support": lambda: support_margin(com_in_world, contacts_in_world) >= rule.min_margin,
+        "energy": lambda: cps_tip_over_energy(com_in_world, contacts_in_world) >= rule.min_energy,
+    }[rule.all_down]()
+    return "" if stands else "landed_margin"
+
+
+def _drop(belief: Belief, world_from_hex: SE3, hips_in_hex: np.ndarray) -> float:
+    """By which the chassis drops at its origin or turns at the legs' hips, the larger [m]."""
+    moved = belief.world_from_hex.inverse().compose(world_from_hex)
+    turned = float(np.linalg.norm(moved.rotvec())) * float(np.linalg.norm(hips_in_hex, axis=1).max())
+    return max(abs(float(world_from_hex.translation[2] - belief.world_from_hex.translation[2])), turned)

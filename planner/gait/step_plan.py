@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -89,5 +89,5 @@ class StepPlan:
         return (self,) if self.companion is None else (self, self.companion)
 
     def of_leg(self, leg: int) -> StepPlan:
-        """The part that moves a leg; the first where none does."""
-        return next((part for part in self.parts if part.leg == leg), self)
+        """The part that moves a leg, for itself; the first where none does."""
+        return replace(next((part for part in self.parts if part.leg == leg), self), companion=None)

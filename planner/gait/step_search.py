@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import ConfigError, PlanningError
 from athlete_twin.geometry.arrays import Joints, PerLeg, PerLegFlag, Points2, Points3, Vec2, Vec3, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
@@ -166,6 +166,13 @@ class StepRequest:
     """that will step after this one, as far as anybody knows; the shift makes it ready to be lifted"""
     cautious: bool = True
     """whether the swing keeps clear of ground that nobody saw; if not, the executive's guard on it must do"""
+
+    def __post_init__(self) -> None:
+        length = float(np.linalg.norm(self.heading))
+        if not (np.isfinite(length) and abs(length - 1.0) < 1e-6):
+            raise PlanningError(f"heading {self.heading} has length {length:g}, must be 1; of a way `unit` makes one")
+        if not (np.isfinite(self.remaining) and self.remaining >= 0.0):
+            raise PlanningError(f"remaining way is {self.remaining} m, must be finite and not negative")
 
 
 def search_step(

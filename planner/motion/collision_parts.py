@@ -68,6 +68,9 @@ class CollisionConfig:
     map_deviations: float = 3.0
     """so many sigma of a cell's height a swing keeps clear of over `part_clearance`, where that is more than `terrain_clearance`,
     while it finds a way; 0 for one clearance everywhere, as in the paper"""
+    unknown_rise: float = 0.10
+    """ground nobody saw is taken for so much higher than the highest beside it: with the swing's own clearance rocks of 0.17 m
+    (SDM-B) hide there without harm [m]"""
     encoder_sigma_deg: float = 0.1
     """of a joint's zero [deg]; EST, as good as they are aligned"""
     wind_up_sigma_deg: float = 0.14
@@ -85,7 +88,7 @@ class CollisionConfig:
     def __post_init__(self) -> None:
         named = (
             "terrain_clearance", "near_ground_clearance", "max_wheel_sink", "part_clearance", "deviations", "map_deviations",
-            "encoder_sigma_deg", "wind_up_sigma_deg", "dock_sigma_deg",
+            "unknown_rise", "encoder_sigma_deg", "wind_up_sigma_deg", "dock_sigma_deg",
         )  # fmt: skip
         for name in named:
             if not 0.0 <= getattr(self, name) < np.inf:

@@ -119,6 +119,10 @@ def plan_swing(
         rng: for the sampling planner alone.
         config: settings.
     """
+    ends = {"start": q_start, "goal": q_goal, "lift way-point": lift_waypoint_q, "touch-down way-point": touchdown_waypoint_q}
+    for name, q in ends.items():
+        if q.shape != (spec.dof,) or not np.isfinite(q).all():
+            raise PlanningError(f"the swing's {name} is {q} rad, must be {spec.dof} finite angles")
     legs = _Straight(collision, spec, config)
     lift = legs.between(q_start, lift_waypoint_q, posture=q_start, name="lift")
     if isinstance(lift, NoPath):
@@ -261,7 +265,7 @@ def _cross(
         spacing = config.smoothing.fine_resolution if height == 0.0 else resolution
         if all(EdgeCheck(p, q).is_free(checker, spacing) for p, q in _longest_first(nodes)):
             if height == 0.0:
-                return nodes, "direct", path_length(nodes), 0
+                return _relieved(nodes, checker, straight, rng, config), "direct", path_length(nodes), 0
             smoothed = smooth(nodes, checker, config.smoothing)
             if not smoothed.confirmed:
                 continue

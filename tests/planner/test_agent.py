@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from athlete_twin.assets import named_toml, read_toml
+from athlete_twin.errors import PlanningError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, CommandSequence, Fault, ImageRequest, Receipt, Stop
 from athlete_twin.mock import MockAthlete
@@ -196,6 +197,91 @@ def test_two_legs_that_a_stop_leaves_in_the_air_come_down_one_after_the_other(ro
     following = agent.next(t)
     assert isinstance(following, Proposal) and following.together and agent.belief.planted.all()
     assert following.leg not in pair
+
+
+@pytest.fixture(params=["sdm_b", "t12"])
+def pairs(request) -> GroundAgent:
+    """A ground that steps two legs at once, its first pair sent."""
+    spec = load_spec(request.param)
+    content = read_toml(named_toml("variants", "blind")) | {"gait": "opposite_pairs"}
+    ground = GroundAgent(spec, planner_config(content, spec, name="pairs"), goal_in_world=np.array([3.0, 0.0]), seed=0)
+    for message in MockAthlete(spec).advance(1.0):
+        ground.observe(message, 1.0)
+    assert proposal(ground, 1.0).together
+    ground.decide(APPROVE, 1.0)
+    return ground
+
+
+def breaks_off(agent: GroundAgent, code: str, index: int) -> None:
+    """The sequence under way ends with a fault of its command `index`, those before it completed; all wheels bear as at first."""
+    sent = agent._sent
+    fault = Fault(
+        seq=1, robot_id=agent.spec.name, t=50.0, code=code, text="test", sequence_id=sent.sequence.sequence_id, command_index=index,
+        leg=getattr(sent.sequence.commands[index], "leg", -1) if index < len(sent.sequence.commands) else -1,
+    )  # fmt: skip
+    told = replace(
+        agent._telemetry, seq=agent._telemetry.seq + 1, t=50.0, executive_state="fault", sequence_id=sent.sequence.sequence_id,
+        command_index=index,
+    )  # fmt: skip
+    for message in (fault, replace(receipt(sent.sequence, "failed"), t=50.0, command_index=index), told):
+        agent.observe(message, 50.0)
+    agent._digest(sent)
+
+
+@pytest.mark.slow
+@pytest.mark.ci
+def test_a_fault_after_the_last_command_is_no_legs_and_both_steps_count(pairs):
+    legs = [part.leg for part in pairs._sent.plan.parts]
+    breaks_off(pairs, "torque_limit", len(pairs._sent.sequence.commands))
+    assert pairs.belief.planted.all() and pairs._forced_leg is None
+    assert sorted(leg for leg in range(6) if pairs.stepped[leg]) == sorted(legs)
+
+
+@pytest.mark.slow
+@pytest.mark.ci
+def test_a_second_leg_that_finds_no_ground_goes_down_alone_and_the_first_counts_once(pairs, monkeypatch):
+    first, second = (part.leg for part in pairs._sent.plan.parts)
+    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.lift(leg))
+    breaks_off(pairs, "no_contact", 5)
+    assert pairs.stepped[first] == 1 and pairs.stepped[second] == 0
+    assert np.flatnonzero(~pairs.belief.planted).tolist() == [second]
+    lower = proposal(pairs, 60.0)
+    assert lower.leg == second and not lower.together and "further down" in lower.text
+    # Who does not want that gets another footfall of the same leg, not the same proposal for ever.
+    assert pairs.decide(Decision(kind="reject"), 60.0) is None
+    other = pairs.next(61.0)
+    assert isinstance(other, Proposal | NoStep), other
+    if isinstance(other, Proposal):
+        assert other.leg == second and "further down" not in other.text
+
+
+@pytest.mark.slow
+def test_a_first_leg_that_finds_no_ground_is_lowered_while_the_other_hangs(pairs, monkeypatch):
+    first, _ = (part.leg for part in pairs._sent.plan.parts)
+    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.lift(leg))
+    breaks_off(pairs, "no_contact", 4)
+    assert not pairs.stepped
+    lower = proposal(pairs, 60.0)
+    assert lower.leg == first and not lower.together
+    assert [part.leg for part in pairs._plan.parts] == [first]
+
+
+@pytest.mark.slow
+def test_a_leg_that_stands_after_its_fault_is_not_pressed_down_while_the_other_hangs(pairs, monkeypatch):
+    _, second = (part.leg for part in pairs._sent.plan.parts)
+    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.land(leg))
+    breaks_off(pairs, "no_contact", 4)
+    assert np.flatnonzero(~pairs.belief.planted).tolist() == [second]
+    following = pairs.next(60.0)
+    assert isinstance(following, Proposal | NoStep) and getattr(following, "leg", second) == second
+
+
+@pytest.mark.parametrize("goal", [np.array([np.nan, 0.0]), np.array([3.0, np.inf]), np.zeros(3)])
+def test_a_goal_that_is_nowhere_is_refused(goal):
+    spec = load_spec("sdm_b")
+    config = planner_config(read_toml(named_toml("variants", "blind")), spec, name="blind")
+    with pytest.raises(PlanningError, match="must be two finite numbers"):
+        GroundAgent(spec, config, goal_in_world=goal, seed=0)
 
 
 def test_a_shift_that_breaks_off_has_swayed_as_far_as_it_went(agent):

@@ -125,6 +125,20 @@ def test_springs_that_hold_no_four_wheels_are_told(robot, on, field):
     assert isinstance(found, NoStep)
 
 
+def test_a_stance_that_breaks_the_rule_with_all_wheels_down_is_refused(robot, on, field):
+    config = robot.config.step
+    strict = replace(config, stability=replace(config.stability, all_down="energy", min_energy=50.0))
+    found = pair(robot, on(robot, field()), config=strict)
+    assert isinstance(found, NoStep)
+    assert found.reason == "legs 1 and 4 together: landed_margin" and found.refused == {"landed_margin": 1}
+
+
+def test_a_gait_that_lifts_two_is_refused_beside_one_that_sways(robot):
+    content = read_toml(named_toml("variants", "blind")) | {"gait": "opposite_pairs", "body_motion": "sway"}
+    with pytest.raises(ConfigError, match="body_motion = 'sway' makes ready for one leg, gait = 'opposite_pairs' lifts two"):
+        planner_config(content, robot.spec, name="both")
+
+
 def test_a_gait_that_lifts_two_is_refused_beside_a_fusion_that_lifts_one(robot):
     content = read_toml(named_toml("variants", "lift_and_image")) | {"gait": "opposite_pairs"}
     with pytest.raises(ConfigError, match="gait = 'opposite_pairs' lifts two legs, fusion = 'lift_and_image' one to look"):

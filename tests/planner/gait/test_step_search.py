@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import ConfigError, PlanningError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.polygon import conservative_distance, signed_distance
 from athlete_twin.model.kinematics import GRAVITY
@@ -226,3 +226,15 @@ def test_unusable_settings_are_refused():
         TouchdownConfig(method="blind")
     with pytest.raises(ConfigError, match=r"load_fraction is 2\.0, must be within 0\.1 to 1"):
         TouchdownConfig(load_fraction=2.0)
+
+
+@pytest.mark.parametrize("wrong, message", [
+    ({"heading": np.zeros(2)}, "has length 0, must be 1"),
+    ({"heading": np.array([np.nan, 1.0])}, "has length nan, must be 1"),
+    ({"heading": np.array([3.0, 4.0])}, "has length 5, must be 1"),
+    ({"remaining": np.nan}, "remaining way is nan m, must be finite"),
+    ({"remaining": -1.0}, "remaining way is -1.0 m, must be finite and not negative"),
+])  # fmt: skip
+def test_a_way_that_is_none_is_refused(wrong, message):
+    with pytest.raises(PlanningError, match=message):
+        StepRequest(**({"leg": 0, "heading": AHEAD, "remaining": 1.0} | wrong))
