@@ -182,6 +182,16 @@ number = 3
 '''
 
 
+OWN = """
+from envs.build import variant_content
+from planner.agent import GroundAgent
+from planner.config import planner_config
+
+def make(*, spec, **rest):
+    return GroundAgent(spec, planner_config(variant_content("blind")[1], spec, name="own"), **rest)
+"""
+
+
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """The folder Python was started in, which forgets what was imported from it."""
@@ -263,9 +273,7 @@ def test_a_planner_from_outside_has_no_toml(here):
 
 
 def test_an_agent_of_ones_own_with_our_eyes_tells_of_its_looks(here):
-    own = "from planner.agent import GroundAgent\nfrom planner.config import planner_config\nfrom envs.build import variant_content\n"
-    own += "def make(*, spec, **rest):\n    return GroundAgent(spec, planner_config(variant_content('blind')[1], spec, name='own'), **rest)\n"
-    written(here, own, "own_one.py")
+    written(here, OWN, "own_one.py")
     seen: list[Look] = []
     agent = ground_agent(load_spec("sdm_b"), "own_one:make", goal=(3.0, 0.0), seed=0, on_look=seen.append)
     assert agent.eyes.on_look == seen.append
