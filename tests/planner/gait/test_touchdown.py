@@ -18,6 +18,7 @@ from planner.gait.step_search import StepRequest, search_step
 from planner.preview.foresee import foresee
 from planner.sequence import as_sequence, step_commands
 
+SLOW = (pytest.mark.slow, pytest.mark.ci)
 AHEAD = np.array([1.0, 0.0])
 MILLIMETRE = 1e-3
 
@@ -38,8 +39,8 @@ def open_ground(robot, on, field):
     return on(robot, field())
 
 
-@pytest.mark.parametrize(("docks", "off"), [(False, 0.03), (True, 0.05)])
-@pytest.mark.parametrize("leg", [0, 1, 2])
+@pytest.mark.parametrize(("docks", "off"), [(False, 0.03), pytest.param(True, 0.05, marks=SLOW)])
+@pytest.mark.parametrize("leg", [0, *(pytest.param(leg, marks=SLOW) for leg in (1, 2))])
 def test_a_planned_descent_ends_where_the_wheel_stands_once_the_chassis_is_back_up(robot, open_ground, leg, docks, off):
     """By the sagged chassis that is below the ground; by the chassis that stands again it is as high as the other axles.
 
@@ -63,6 +64,8 @@ def test_the_two_touchdowns_differ_in_the_descent_alone(robot, open_ground):
     assert -further == pytest.approx(robot.config.step.touchdown.search_depth, rel=0.02)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_without_a_model_of_the_sag_the_wheel_goes_to_the_ground_as_mapped(robot, open_ground):
     plan = step(robot, open_ground, touchdown="planned", sag="none")
     assert plan.reload == 0.0
@@ -70,6 +73,8 @@ def test_without_a_model_of_the_sag_the_wheel_goes_to_the_ground_as_mapped(robot
     assert height == pytest.approx(plan.footfall_in_world[2] + robot.spec.wheel.radius, abs=MILLIMETRE)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 @pytest.mark.parametrize("touchdown", ["guarded", "planned"])
 def test_a_preview_of_either_ends_on_six_wheels_without_a_fault(robot, open_ground, touchdown):
     plan = step(robot, open_ground, touchdown=touchdown)
@@ -80,6 +85,8 @@ def test_a_preview_of_either_ends_on_six_wheels_without_a_fault(robot, open_grou
     np.testing.assert_allclose(after, before.mean(), atol=0.03)
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_preview_over_a_hole_shows_the_wheel_in_the_air_and_no_fault_since_the_robot_feels_none(robot, open_ground, field):
     plan = step(robot, open_ground, touchdown="planned")
     sequence = as_sequence(step_commands(plan), robot_id=robot.spec.name, sequence_id=0, t=0.0)
@@ -89,6 +96,8 @@ def test_a_preview_over_a_hole_shows_the_wheel_in_the_air_and_no_fault_since_the
     assert shown.wheels_in_world[-1, 1, 2] - robot.spec.wheel.radius > -0.3
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_terrain_raised_as_in_2008_has_steps_that_lift_and_arrive_so_much_higher(robot, open_ground):
     plain, raised = (step(robot, open_ground, sag=how, touchdown="planned") for how in ("none", "raise_terrain"))
     wheel = [robot.kin.leg_wheel(1, plan.swing[-1]).translation for plan in (plain, raised)]
@@ -119,6 +128,8 @@ def test_the_ground_knows_that_a_placed_wheel_stands(agent):
     assert planted == [False, False, True]
 
 
+@pytest.mark.slow
+@pytest.mark.ci
 def test_a_leg_in_the_air_is_set_down_where_it_is_as_deep_as_the_sag_asks_and_that_is_no_step(agent, robot):
     proposal = agent.next(1.0)
     plan, leg = agent._plan, proposal.leg
