@@ -34,7 +34,8 @@ def compared_table(compared: Sequence[Comparison]) -> str:
         + "</tr>"
         for c in compared
     )
-    head = "".join(f'<th class="n">{t}</th>' for t in ("difference, 95 % interval", "effect", "p", "p (Holm)", "pairs", "left out", "would take"))
+    titles = ("difference, 95 % interval", "effect", "p", "p (Holm)", "pairs", "left out", "would take")
+    head = "".join(f'<th class="n">{t}</th>' for t in titles)
     return (
         '<details><summary>All differences</summary><div class="scroll"><table>'
         f"<tr><th>variant</th><th>metric</th>{head}</tr>{lines}</table></div></details>"
@@ -57,8 +58,8 @@ def reasons_table(rows: Sequence[Row], place: Place, variants: Sequence[str]) ->
     head = "".join(f'<th class="n">{html.escape(v)}</th>' for v in variants)
     rest = f'<p class="small">And {len(kinds) - MOST_REASONS} rarer ones.</p>' if len(kinds) > MOST_REASONS else ""
     return (
-        f'<details><summary>Reasons of {len(failed)} failures</summary><div class="scroll"><table><tr><th>outcome</th><th>reason</th>{head}</tr>'
-        f"{lines}</table></div>{rest}</details>"
+        f'<details><summary>Reasons of {len(failed)} failures</summary><div class="scroll"><table>'
+        f"<tr><th>outcome</th><th>reason</th>{head}</tr>{lines}</table></div>{rest}</details>"
     )
 
 
@@ -67,7 +68,7 @@ def stage_table(rows: Sequence[Row], place: Place, variants: Sequence[str]) -> s
     seconds = stage_seconds(rows, place, variants)
     lines = "".join(
         f"<tr><td>{html.escape(stage.replace('_', ' '))}</td>"
-        + "".join(f'<td class="n">{"%.2f, %.2f" % s[:2] if (s := seconds[stage].get(v)) else "–"}</td>' for v in variants)
+        + "".join(f'<td class="n">{_two(seconds[stage].get(v))}</td>' for v in variants)
         + "</tr>"
         for stage in STAGES
         if stage in seconds
@@ -84,12 +85,13 @@ def films_section(folder: Path, rows: list[Row]) -> str:
     lines = []
     for (robot, variant), picked in picked_trials(rows).items():
         cells = "".join(f"<td>{_linked(folder, picked[kind])}</td>" for kind in ("best", "median", "worst"))
-        lines.append(f"<tr><td>{html.escape(title_of(robot))}</td><td>{html.escape(variant)}</td>{cells}</tr>")
+        lines.append(f"<tr><td class='name'>{html.escape(title_of(robot))}</td><td>{html.escape(variant)}</td>{cells}</tr>")
     if not lines:
         return ""
     return (
-        "<section><h2>Best, median and worst trials</h2><p>By success, then progress, then the shorter mission time, over all cases of a robot "
-        'and variant.</p><div class="scroll"><table><tr><th>robot</th><th>variant</th><th>best</th><th>median</th><th>worst</th></tr>'
+        "<section><h2>Best, median and worst trials</h2><p>By success, then progress, then the shorter mission time, over all "
+        'cases of a robot and variant.</p><div class="scroll"><table>'
+        '<tr><th>robot</th><th>variant</th><th>best</th><th>median</th><th>worst</th></tr>'
         f"{''.join(lines)}</table></div></section>"
     )
 
@@ -99,14 +101,14 @@ def trials_section(folder: Path, rows: Sequence[Row]) -> str:
     head = "".join(f'<th class="n">{html.escape(BY_NAME[name].title)}</th>' for name in SHOWN)
     lines = "".join(
         f"<tr><td>{html.escape(r['case'])}</td><td>{html.escape(r['variant'])}</td>"
-        f'<td><span class="name"><i style="background:{outcome_look(r["outcome"])[1]}"></i>{html.escape(outcome_look(r["outcome"])[0])}</span></td>'
-        + "".join(f'<td class="n">{html.escape(BY_NAME[name].shown(BY_NAME[name].read(r)).replace(".0", ""))}</td>' for name in SHOWN)
+        f"<td>{_outcome(r)}</td>"
+        + "".join(f'<td class="n">{html.escape(_figure(r, name))}</td>' for name in SHOWN)
         + f"<td>{html.escape(str(r['reason']))}</td><td>{_links(folder, r)}</td></tr>"
         for r in rows
     )
     return (
-        f"<section><h2>Every trial</h2><details><summary>{len(rows)} trials</summary><div class='scroll'><table><tr><th>case</th><th>variant</th>"
-        f"<th>outcome</th>{head}<th>reason</th><th></th></tr>{lines}</table></div></details></section>"
+        f'<section><h2>Every trial</h2><details><summary>{len(rows)} trials</summary><div class="scroll"><table>'
+        f"<tr><th>case</th><th>variant</th><th>outcome</th>{head}<th>reason</th><th></th></tr>{lines}</table></div></details></section>"
     )
 
 
@@ -145,6 +147,22 @@ def _figures(c: Comparison) -> tuple[str, ...]:
         return ("–", "–", "–", "–", "0", str(d.missing), "")
     effect = f"{d.effect:+.2f}".replace("-", "−") if d.effect == d.effect else "–"
     return (interval(c), effect, p_value(d.p), p_value(c.p_holm), str(d.pairs), str(d.missing), needed(c) if d.mean else "")
+
+
+def _two(seconds: tuple[float, float, int] | None) -> str:
+    return f"{seconds[0]:.2f}, {seconds[1]:.2f}" if seconds else "–"
+
+
+def _outcome(row: Row) -> str:
+    words, colour = outcome_look(row["outcome"])
+    return f'<span class="name"><i style="background:{colour}"></i>{html.escape(words)}</span>'
+
+
+def _figure(row: Row, name: str) -> str:
+    """A trial's own figure: what is counted is whole."""
+    metric = BY_NAME[name]
+    value = metric.read(row)
+    return f"{value:.0f}" if value is not None and not metric.unit else metric.shown(value)
 
 
 def _kind_of(row: Row) -> str:

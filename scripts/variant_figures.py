@@ -65,7 +65,7 @@ def success_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look]) ->
             if r.trials:
                 axes.plot([100 * r.low, 100 * r.high], [y, y], color=look.colour, lw=2.2, solid_capstyle="butt")
                 axes.plot(100 * r.share, y, look.marker, color=look.colour, ms=7)
-            axes.text(101.5, y, f"{r.successes}/{r.trials}", va="center", fontsize=8, color=MUTED)
+            axes.text(103.5, y, f"{r.successes}/{r.trials}", va="center", fontsize=8, color=MUTED)
             y += 1.0
         y += 0.3
     axes.set_yticks([t for t, _ in ticks], [short(v) for _, v in ticks])
@@ -100,9 +100,8 @@ def outcome_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look]) ->
 def time_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look]) -> bytes | None:
     """Mean mission time of the trials that succeeded, split as it is charged; None where none did."""
     variants = present(rows, place, looks)
-    well = {
-        v: [r for r in rows if place.has(r) and r["variant"] == v and succeeded(r) and all(r[p] is not None for p in PARTS)] for v in variants
-    }
+    timed = [r for r in rows if place.has(r) and succeeded(r) and all(r[p] is not None for p in PARTS)]
+    well = {v: [r for r in timed if r["variant"] == v] for v in variants}
     if not any(well.values()):
         return None
     figure, axes = subplots(figsize=(WIDTH, 1.25 + 0.36 * len(variants)))
@@ -114,10 +113,10 @@ def time_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look]) -> by
             axes.barh(y, minutes, left=left, height=0.72, color=BIN_COLOURS[part.removesuffix("_s")], edgecolor="white", lw=0.8)
             left += minutes
         n = len(well[variant])
-        axes.text(left, y, f"  {left:.0f} min of {n}" if n else "  none succeeded", va="center", fontsize=8, color=MUTED)
+        axes.text(left, y, f"  {left:.0f} min, {n} trials" if n else "  none succeeded", va="center", fontsize=8, color=MUTED)
         longest = max(longest, left)
     _variants_below(axes, variants)
-    axes.set(xlim=(0, 1.28 * max(longest, 1e-3)), xlabel="mean mission time of trials that succeeded [min]")
+    axes.set(xlim=(0, 1.35 * max(longest, 1e-3)), xlabel="mean mission time of trials that succeeded [min]")
     _key(axes, [(part.removesuffix("_s"), BIN_COLOURS[part.removesuffix("_s")]) for part in PARTS])
     return png(figure)
 
@@ -137,7 +136,8 @@ def delay_figure(rows: Sequence[Row], robot: str, looks: dict[str, Look]) -> byt
             continue
         times = [p.delay_s for p in places]
         middle = [median_of((r for r in rows if p.has(r) and r["variant"] == variant and succeeded(r)), metric) for p in places]
-        share.vlines([x for x, _ in rates], [100 * r.low for _, r in rates], [100 * r.high for _, r in rates], color=look.colour, alpha=0.45)
+        for x, r in rates:
+            share.vlines(x, 100 * r.low, 100 * r.high, color=look.colour, alpha=0.45)
         share.plot([x for x, _ in rates], [100 * r.share for _, r in rates], marker=look.marker, color=look.colour, ms=5, lw=1.3)
         minutes.plot(
             times, [np.nan if m is None else m / 60 for m in middle], marker=look.marker, color=look.colour, ms=5, lw=1.3,

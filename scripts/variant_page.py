@@ -17,7 +17,7 @@ from variant_rows import ERROR, RECOMMENDED
 from variant_spreads import difference_figure, spread_figure, stage_figure
 from variant_tables import Comparison, Place, effects_by_scenario, fewest_pairs, successes
 from variant_targets import DELAY, targets
-from variant_words import answer, interval, needed, place_title
+from variant_words import answer, interval, needed, place_title, undecided
 
 JITTER = 0
 """seed of the dots' places in the spreads"""
@@ -82,8 +82,8 @@ def body(study: Study) -> str:
         _gallery(
             study,
             f"Differences from {html.escape(study.variants[0])}",
-            "Mean of the paired differences with its bootstrap (BCa) 95 % interval. A full mark is significant after Holm's correction over "
-            "the metrics, a hollow one is not. * over pairs in which both succeeded.",
+            "Mean of the paired differences with its bootstrap (BCa) 95 % interval. A full mark is significant after Holm's "
+            "correction over the metrics, a hollow one is not. * over pairs in which both succeeded.",
             lambda p: difference_figure(at(p), looks),
             below=lambda p: compared_table(at(p)),
         ),
@@ -130,7 +130,8 @@ def _answers(study: Study) -> str:
     folded = f"<details><summary>The same at other delays</summary>{rest}</details>" if rest else ""
     base = html.escape(study.variants[0])
     against = f"Each variant is held against <b>{base}</b>; a difference is the variant's figure less {base}'s. " if study.compared else ""
-    return f"<section><h2>The answer</h2><p>{against}Significant means at 5 % after Holm's correction over the metrics.</p>{first}{folded}</section>"
+    level = "Significant means at 5 % after Holm's correction over the metrics."
+    return f"<section><h2>The answer</h2><p>{against}{level}</p>{first}{folded}</section>"
 
 
 def _answer(study: Study, place: Place) -> str:
@@ -155,10 +156,14 @@ def _answer(study: Study, place: Place) -> str:
         f'<th class="n">{t}</th>'
         for t in ("succeeded", "95 % interval", "difference", "p (Holm)", "progress", "peak torque", "mission time*", "command cycles*")
     )
-    said = "".join(f"<li>{html.escape(s)}</li>" for s in answer(study.rows, place, study.variants, study.compared))
+    said = _list(answer(study.rows, place, study.variants, study.compared))
+    open_questions = _list(undecided(study.rows, place, study.variants, study.compared))
+    if open_questions:
+        said += f"<details><summary>Not significant in other figures</summary>{open_questions}</details>"
     return (
-        f'<h3>{html.escape(place_title(place))}</h3><div class="scroll"><table><tr><th>variant</th>{head}</tr>{"".join(lines)}</table></div>'
-        f'<p class="small">Medians; * of trials that succeeded.</p><ul>{said}</ul>'
+        f'<h3>{html.escape(place_title(place))}</h3><div class="scroll"><table><tr><th>variant</th>{head}</tr>'
+        f"{''.join(lines)}</table></div>"
+        f'<p class="small">Medians; * of trials that succeeded.</p>{said}'
     )
 
 
@@ -167,7 +172,7 @@ def _wishes(study: Study) -> str:
         return ""
     words = {True: ("met", "good"), False: ("not met", "bad"), None: ("not measured", "fair")}
     lines = "".join(
-        f"<tr><td>{html.escape(title_of(t.robot))}</td><td>{html.escape(t.wanted)}</td><td>{html.escape(t.measured)}</td>"
+        f"<tr><td class='name'>{html.escape(title_of(t.robot))}</td><td>{html.escape(t.wanted)}</td><td>{html.escape(t.measured)}</td>"
         f'<td><span class="badge small {words[t.met][1]}">{words[t.met][0]}</span></td><td>{html.escape(t.note)}</td></tr>'
         for t in targets(study.rows)
     )
@@ -212,7 +217,8 @@ def _by_scenario(study: Study, place: Place) -> str:
         f'<td class="n">{html.escape(needed(c)) if c.difference.mean and not c.significant else ""}</td></tr>'
         for c in effects
     )
-    head = '<th>scenario</th><th>variant</th><th class="n">success</th><th class="n">pairs</th><th class="n">p (Holm)</th><th class="n">would take</th>'
+    numbers = "".join(f'<th class="n">{t}</th>' for t in ("success", "pairs", "p (Holm)", "would take"))
+    head = f"<th>scenario</th><th>variant</th>{numbers}"
     base = html.escape(study.variants[0])
     return (
         f'<details><summary>Against {base}, scenario by scenario</summary><div class="scroll"><table><tr>{head}</tr>{lines}</table></div>'
@@ -242,15 +248,21 @@ def _method(study: Study) -> str:
         "Trials of one case are a pair: the same ground, noise and delay under two variants. Robots are never pooled, nor are delays; "
         "scenarios of one robot are, except where they are named.",
         "A p-value is the chance that flipping signs within the pairs at random makes a mean as far from zero (for success that is "
-        f"McNemar's exact test). Holm's correction runs over {len(metrics)} metrics of one variant on one robot at one delay, as far as they "
-        f"were measured; so many need {fewest_pairs(len(metrics))} pairs before anything can be significant.",
+        f"McNemar's exact test). Holm's correction runs over {len(metrics)} metrics of one variant on one robot at one delay, as far "
+        f"as they were measured; so many need {fewest_pairs(len(metrics))} pairs before anything can be significant. Intervals are not "
+        "corrected, and those of rates are too narrow where few pairs differ: the p-value decides.",
         "The pairs that would be needed are those with which a paired t-test finds the effect seen at 5 % in 80 of 100 repetitions, by "
         "itself: among many metrics it takes more. The effect is a mean over the standard deviation of the differences (d_z).",
-        "What could not be measured is left out in pairs and shown as a dash, never as zero. A trial that could not be run did not succeed.",
+        "What could not be measured is left out in pairs and shown as a dash, never as zero. A trial that could not be run did not "
+        "succeed.",
     ]
     if only:
         notes.append(f"Compared only over pairs in which both succeeded: {only}. Who falls early is soon done.")
-    return "<section><h2>How this was reckoned</h2><ul>" + "".join(f"<li>{html.escape(n)}</li>" for n in notes) + "</ul></section>"
+    return f"<section><h2>How this was reckoned</h2>{_list(notes)}</section>"
+
+
+def _list(sentences: Sequence[str]) -> str:
+    return f"<ul>{''.join(f'<li>{html.escape(s)}</li>' for s in sentences)}</ul>" if sentences else ""
 
 
 def _named(study: Study, variant: str) -> str:

@@ -28,25 +28,16 @@ def difference_figure(compared: Sequence[Comparison], looks: dict[str, Look]) ->
     variants = [v for v in looks if any(c.variant == v for c in compared)]
     columns = 2
     lines = -(-len(metrics) // columns)
-    figure, axes = subplots(lines, columns, figsize=(WIDTH, 0.5 + lines * (0.72 + 0.21 * len(variants))), sharey=True, squeeze=False)
+    figure, axes = subplots(lines, columns, figsize=(WIDTH, 0.5 + lines * (0.86 + 0.2 * len(variants))), sharey=True, squeeze=False)
     for ax, metric in zip(axes.flat, metrics, strict=False):
         for y, variant in enumerate(variants):
             for c in (c for c in compared if c.variant == variant and c.metric is metric):
                 _difference(ax, y, c, looks[variant])
         ax.axvline(0.0, color=MUTED, lw=0.9)
         ax.set_title(_titled(metric), fontsize=8.5)
-        ax.set_yticks(range(len(variants)), [short(v, 18) for v in variants])
-        ax.set_ylim(len(variants) - 0.4, -0.6)
-        ax.tick_params(axis="both", length=0, labelsize=7.5)
-        ax.tick_params(axis="y", labelcolor=INK)
-        ax.spines["left"].set_visible(False)
-        ax.grid(True, axis="x")
+        ax.set_title("better →" if metric.better == "more" else "← better", loc="right", fontsize=7, fontweight="normal", color=MUTED)
+        _panel(ax, variants)
         _symmetric(ax)
-        good = 1.0 if metric.better == "more" else 0.0
-        ax.annotate(
-            "better →" if good else "← better", (good, 1.0), xycoords="axes fraction", ha="right" if good else "left", va="bottom",
-            fontsize=6.5, color=MUTED,
-        )  # fmt: skip
     for ax in axes.flat[len(metrics) :]:
         ax.set_visible(False)
     return png(figure)
@@ -61,7 +52,7 @@ def spread_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look], *, 
         return None
     columns = 2
     lines = -(-len(names) // columns)
-    figure, axes = subplots(lines, columns, figsize=(WIDTH, 0.4 + lines * (0.62 + 0.3 * len(variants))), sharey=True, squeeze=False)
+    figure, axes = subplots(lines, columns, figsize=(WIDTH, 0.4 + lines * (0.7 + 0.29 * len(variants))), sharey=True, squeeze=False)
     for ax, name in zip(axes.flat, names, strict=False):
         metric = BY_NAME[name]
         for y, variant in enumerate(variants):
@@ -79,12 +70,7 @@ def spread_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look], *, 
         if name == "peak_torque_fraction":
             ax.axvline(100.0, color=LIMIT, lw=1.0)
         ax.set_title(f"{metric.title} [{metric.unit}]", fontsize=8.5)
-        ax.set_yticks(range(len(variants)), [short(v, 18) for v in variants])
-        ax.set_ylim(len(variants) - 0.4, -0.6)
-        ax.tick_params(axis="both", length=0, labelsize=7.5)
-        ax.tick_params(axis="y", labelcolor=INK)
-        ax.spines["left"].set_visible(False)
-        ax.grid(True, axis="x")
+        _panel(ax, variants)
     for ax in axes.flat[len(names) :]:
         ax.set_visible(False)
     return png(figure)
@@ -146,6 +132,17 @@ def _difference(axes: Any, y: int, c: Comparison, look: Look) -> None:
         axes.plot([scale * d.low, scale * d.high], [y, y], color=look.colour, lw=1.8)
     fill = look.colour if c.significant else "white"
     axes.plot(scale * d.mean, y, look.marker, color=look.colour, mfc=fill, mew=1.3, ms=5.5)
+
+
+def _panel(axes: Any, variants: Sequence[str]) -> None:
+    """A line a variant, and no more numbers below than a narrow panel holds."""
+    axes.set_yticks(range(len(variants)), [short(v, 18) for v in variants])
+    axes.set_ylim(len(variants) - 0.4, -0.6)
+    axes.tick_params(axis="both", length=0, labelsize=8)
+    axes.tick_params(axis="y", labelcolor=INK)
+    axes.locator_params(axis="x", nbins=4)
+    axes.spines["left"].set_visible(False)
+    axes.grid(True, axis="x")
 
 
 def _titled(metric: Metric) -> str:

@@ -17,6 +17,8 @@ from variant_rows import variants_of
 from variant_statistics import PairedDifference, Rate, holm, paired_difference, rate
 
 SIGNIFICANCE = 0.05
+DECIMALS = 9
+"""of SI units in which figures are compared: what differs below is the last bits of a sum, not a way of planning"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,7 +139,8 @@ def _difference(pairs: list[tuple[Row, Row]], metric: Metric, *, seed: str) -> P
     for pair in pairs:
         usable = not metric.reached_only or all(succeeded(r) for r in pair)
         for side, row in zip(sides, pair, strict=True):
-            side.append(metric.read(row) if usable else None)
+            value = metric.read(row) if usable else None
+            side.append(None if value is None else round(value, DECIMALS))
     # Keyed by what is compared, so that no figure depends on which others are asked for.
     return paired_difference(*sides, rng=np.random.default_rng(zlib.crc32(seed.encode())))
 

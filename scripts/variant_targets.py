@@ -71,8 +71,10 @@ def _never(robot: str, mine: list[Row], wanted: str, is_so: Callable[[Row], bool
     known = [flag for flag in map(is_so, mine) if flag is not None]
     if not known:
         return _unknown(robot, wanted)
+    sure = "" if any(known) else f"up to {100 * rate(known).high:.0f} % of trials may, by the interval"
     return Target(
-        robot=robot, wanted=wanted, measured=f"{sum(known)} of {len(known)} trials {words}", met=not any(known), note=note
+        robot=robot, wanted=wanted, measured=f"{sum(known)} of {len(known)} trials {words}", met=not any(known),
+        note="; ".join(n for n in (note, sure) if n),
     )  # fmt: skip
 
 
@@ -119,11 +121,10 @@ def _fewer_cycles(robot: str, rows: list[Row]) -> Target:
     if not compared or not compared[0].difference.pairs:
         return _unknown(robot, wanted, "no case that both succeeded on")
     d = compared[0].difference
-    sure = d.p < SIGNIFICANCE
     return Target(
         robot=robot, wanted=wanted, met=d.mean < 0.0,
         measured=f"{metric.number(d.mean, sign=True)} by the mean of {d.pairs} pairs that both succeeded on",
-        note="" if sure else f"not significant, p = {p_value(d.p)}",
+        note=f"{'significant' if d.p < SIGNIFICANCE else 'not significant'}, p = {p_value(d.p)} by itself",
     )  # fmt: skip
 
 

@@ -16,17 +16,30 @@ def place_title(place: Place) -> str:
 
 
 def answer(rows: list[Row], place: Place, variants: Sequence[str], compared: Sequence[Comparison]) -> list[str]:
-    """Sentences about one place, plain text, the most important first."""
-    here = [c for c in compared if c.place == place]
+    """Sentences about one place, plain text: success, then all that is significant, and whether success is not."""
     run = [s for s in successes(rows, place, variants) if s.rate.trials]
     sentences = ["Success: " + "; ".join(_often(s) for s in run) + "."]
-    others = [s.variant for s in run if s.variant != variants[0]]
-    if not others or run[0].variant != variants[0]:
-        return [*sentences, "Nothing to hold against each other here: " + _alone(run, variants[0])]
-    for variant in others:
-        mine = [c for c in here if c.variant == variant]
-        sentences += _against(variant, variants[0], mine)
+    if len(run) < 2 or run[0].variant != variants[0]:
+        why = "one variant only" if len(run) < 2 else f"{variants[0]} was not run"
+        return [*sentences, f"Nothing to hold against each other here: {why}."]
+    for s in run[1:]:
+        sentences += _against(s.variant, variants[0], _of(compared, place, s.variant))
     return sentences
+
+
+def undecided(rows: list[Row], place: Place, variants: Sequence[str], compared: Sequence[Comparison]) -> list[str]:
+    """Sentences about the figures but success that are not significant at one place, with the pairs each would need."""
+    out = []
+    for variant in (s.variant for s in successes(rows, place, variants) if s.variant != variants[0]):
+        mine, pair = _of(compared, place, variant), f"{variant} against {variants[0]}"
+        rest = [c for c in mine if c.difference.pairs and not c.significant and c.metric.name != "success"]
+        if rest:
+            listed = ", ".join(f"{c.metric.title} ({needed(c) if c.difference.mean else 'alike'})" for c in rest)
+            out.append(f"{pair}, in brackets what would show the difference seen: {listed}.")
+        untested = [c.metric.title for c in mine if not c.difference.pairs]
+        if untested:
+            out.append(f"{pair}, nothing to compare: {', '.join(untested)}.")
+    return out
 
 
 def interval(c: Comparison) -> str:
@@ -50,45 +63,34 @@ def _often(found: Success) -> str:
     return f"{found.variant} {r.successes} of {r.trials} ({100 * r.share:.0f} %, interval {share(r)})"
 
 
-def _alone(run: Sequence[Success], baseline: str) -> str:
-    if len(run) < 2:
-        return "one variant only."
-    return f"{baseline} was not run."
-
-
 def _against(variant: str, baseline: str, mine: list[Comparison]) -> list[str]:
     if not mine:
         return [f"{variant} and {baseline} share no case: nothing is compared."]
     tested = [c for c in mine if c.difference.pairs]
-    significant, rest = [c for c in tested if c.significant], [c for c in tested if not c.significant]
-    out = []
-    if significant:
-        listed = "; ".join(
-            f"{c.metric.title} {'better' if c.better else 'worse'} ({interval(c)}; p = {p_value(c.p_holm)}, {c.difference.pairs} pairs)"
-            for c in significant
-        )
-        out.append(f"{variant} differs significantly from {baseline}: {listed}.")
-    else:
-        out.append(f"{variant} differs significantly from {baseline} in nothing.")
-    for c in rest:
-        if c.metric.name == "success":
-            out.append(
-                f"{variant} against {baseline}, success: not significant ({interval(c)}; p = {p_value(c.p_holm)}, "
-                f"{c.difference.pairs} pairs); "
-                + ("no difference was seen." if c.difference.mean == 0.0 else f"showing this difference would take {needed(c)}.")
-            )
-    other = [c for c in rest if c.metric.name != "success"]
-    if other:
-        listed = ", ".join(
-            f"{c.metric.title} ({'alike' if c.difference.mean == 0.0 else c.difference.seeds_needed or 'over 100,000'})" for c in other
-        )
-        out.append(f"{variant} against {baseline}, not significant, with the pairs that would be needed for the difference seen: {listed}.")
+    significant = [c for c in tested if c.significant]
+    listed = "; ".join(
+        f"{c.metric.title} {'better' if c.better else 'worse'} ({interval(c)}; p = {p_value(c.p_holm)}, {c.difference.pairs} pairs)"
+        for c in significant
+    )
+    out = [f"{variant} differs significantly from {baseline}: {listed or 'in nothing'}."]
+    out += [_open(c) for c in tested if c.metric.name == "success" and not c.significant]
     most, least = max((c.difference.pairs for c in tested), default=0), fewest_pairs(max(len(tested), 1))
     if most < least:
         out.append(f"With {most} pairs nothing can be significant among {len(tested)} metrics; that takes {least} pairs or more.")
-    untested = [c.metric.title for c in mine if not c.difference.pairs]
-    if untested:
-        out.append(f"{variant} against {baseline}, nothing to compare: {', '.join(untested)}.")
     if mine[0].unpaired:
         out.append(f"{mine[0].unpaired} trials of {variant} or {baseline} have no partner and are left out of the differences.")
     return out
+
+
+def _open(c: Comparison) -> str:
+    """What is to be said of a success that is not significantly another."""
+    if c.difference.mean == 0.0:
+        return f"{c.variant} succeeds as often as {c.baseline} in {c.difference.pairs} pairs."
+    return (
+        f"{c.variant} against {c.baseline}, success: not significant ({interval(c)}; p = {p_value(c.p_holm)}, "
+        f"{c.difference.pairs} pairs); showing this difference would take {needed(c)}."
+    )
+
+
+def _of(compared: Sequence[Comparison], place: Place, variant: str) -> list[Comparison]:
+    return [c for c in compared if c.place == place and c.variant == variant]

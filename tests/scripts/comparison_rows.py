@@ -40,7 +40,8 @@ def walked(robot, scenario, seed, delay, variant, *, share=None):
     reached = 0.6 * luck + 0.4 * mine.random() < share
     k = 1.0 if scenario == "rock_field" else 1.3
     steps = int(60 * (1.0 if reached else mine.uniform(0.1, 0.9)))
-    motion, link, ground_s, operator = 22.0 * slow * steps, 2 * delay * steps, 3.5 * k * steps, 4.0 * steps
+    slowness = slow * mine.gamma(400.0, 1 / 400) * (1.0 if variant == "integrated" else 1.06)
+    motion, link, ground_s, operator = 22.0 * slowness * steps, 2 * delay * steps, 3.5 * k * steps, 4.0 * steps
     outcome = "goal_reached" if reached else str(mine.choice(["fault", "no_step", "tip_over", "time_limit"], p=[0.5, 0.3, 0.1, 0.1]))
     reasons = {
         "goal_reached": "arrived; 0.12 m from the goal", "fault": f"swing_contact: leg {mine.integers(1, 7)} struck something; no way on",
