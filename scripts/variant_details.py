@@ -120,11 +120,12 @@ def provenance_footer(rows: Sequence[Row]) -> str:
     def all_of(key: str) -> str:
         return ", ".join(sorted({str(o[key]) for o in origins if o.get(key)})) or "unknown"
 
+    operators = sorted({str(r.get("operator") or "unknown") for r in rows})
     packages = ", ".join(f"{name} {v}" for name, v in sorted((first.get("packages") or {}).items()))
     words = (
         f"athlete_twin {first.get('version') or 'unknown'}, commit {first.get('git_sha') or 'unknown'}. "
         f"Python {all_of('python')}; {all_of('platform')}; processor {all_of('cpu')}. {packages + '. ' if packages else ''}"
-        f"Seeds {spans(sorted({int(r['seed']) for r in rows}))}. Operator {', '.join(sorted({str(r.get('operator')) for r in rows}))}. "
+        f"Seeds {spans(sorted({int(r['seed']) for r in rows}))}. Operator {', '.join(operators)}. "
         f"Suite {rows[0]['suite_sha256'] or 'none: cases were named by hand'}. A dash is a figure that was not measured."
     )
     return f"<footer>{html.escape(words)}</footer>"

@@ -28,7 +28,7 @@ OUTCOMES = {
     "tip_over": ("tipped over", "#24292f"),
     "error": ("could not be run", "#cc79a7"),
 }
-WIDTH = 6.4
+WIDTH = 5.4
 """of a figure of one robot [inch]: two stand side by side on a desk, one fills a phone"""
 ROW = 0.27
 """height of a variant's line [inch]"""
@@ -195,4 +195,4 @@ def _key(axes: Any, named: Sequence[tuple[str, str]]) -> None:
     from matplotlib.patches import Patch
 
     handles = [Patch(facecolor=colour, label=name) for name, colour in named]
-    axes.figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 4), handlelength=1.0, columnspacing=1.2)
+    axes.figure.legend(handles=handles, loc="outside upper center", ncols=min(len(handles), 3), handlelength=1.0, columnspacing=1.2)

@@ -161,7 +161,7 @@ def _answer(study: Study, place: Place) -> str:
     if open_questions:
         said += f"<details><summary>Not significant in other figures</summary>{open_questions}</details>"
     return (
-        f'<h3>{html.escape(place_title(place))}</h3><div class="scroll"><table><tr><th>variant</th>{head}</tr>'
+        f'<h3>{html.escape(place_title(place))}</h3><div class="scroll"><table class="wrap"><tr><th>variant</th>{head}</tr>'
         f"{''.join(lines)}</table></div>"
         f'<p class="small">Medians; * of trials that succeeded.</p>{said}'
     )
@@ -172,13 +172,13 @@ def _wishes(study: Study) -> str:
         return ""
     words = {True: ("met", "good"), False: ("not met", "bad"), None: ("not measured", "fair")}
     lines = "".join(
-        f"<tr><td class='name'>{html.escape(title_of(t.robot))}</td><td>{html.escape(t.wanted)}</td><td>{html.escape(t.measured)}</td>"
-        f'<td><span class="badge small {words[t.met][1]}">{words[t.met][0]}</span></td><td>{html.escape(t.note)}</td></tr>'
+        f"<tr><td>{html.escape(title_of(t.robot))}: {html.escape(t.wanted)}</td><td>{html.escape(t.measured)}"
+        f'<p class="small">{html.escape(t.note)}</p></td><td><span class="badge small {words[t.met][1]}">{words[t.met][0]}</span></td></tr>'
         for t in targets(study.rows)
     )
     return (
-        f"<section><h2>What is wanted of {RECOMMENDED}</h2><div class='scroll'><table><tr><th>robot</th><th>wanted</th><th>measured</th>"
-        f"<th></th><th>how sure</th></tr>{lines}</table></div></section>"
+        f'<section><h2>What is wanted of {RECOMMENDED}</h2><div class="scroll"><table>'
+        f"<tr><th>wanted</th><th>measured</th><th></th></tr>{lines}</table></div></section>"
     )
 
 
