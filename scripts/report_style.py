@@ -56,7 +56,7 @@ summary { cursor: pointer; font-weight: 600 } footer { color: var(--muted); font
 .scroll { overflow-x: auto }
 h3 { font-size: 15px; margin: 18px 0 6px } ul { margin: 8px 0; padding-left: 20px } li { margin: 4px 0; overflow-wrap: anywhere }
 .pair { display: grid; grid-template-columns: repeat(auto-fit, minmax(min(100%, 440px), 1fr)); gap: 18px 28px; align-items: start }
-figure { margin: 0; min-width: 0 } figcaption { font-weight: 600; margin-bottom: 6px } details { margin-top: 10px }
+figure { margin: 0; min-width: 0; max-width: 680px } figcaption { font-weight: 600; margin-bottom: 6px } details { margin-top: 10px }
 .name { white-space: nowrap } .name i { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 7px }
 p.small { font-size: 13px; margin: 4px 0; color: var(--muted) }
 table.wrap th.n { white-space: normal } .badge.small { font-size: 13px; padding: 1px 10px; white-space: nowrap }

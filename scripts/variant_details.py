@@ -10,7 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import quote
 
-from variant_export import p_value, title_of
+from variant_export import counted, p_value, title_of
 from variant_figures import outcome_look
 from variant_metrics import BY_NAME, Row, succeeded
 from variant_rows import picked_trials
@@ -58,7 +58,7 @@ def reasons_table(rows: Sequence[Row], place: Place, variants: Sequence[str]) ->
     head = "".join(f'<th class="n">{html.escape(v)}</th>' for v in variants)
     rest = f'<p class="small">And {len(kinds) - MOST_REASONS} rarer ones.</p>' if len(kinds) > MOST_REASONS else ""
     return (
-        f'<details><summary>Reasons of {len(failed)} failures</summary><div class="scroll"><table>'
+        f'<details><summary>Reasons of {counted(len(failed), "failure")}</summary><div class="scroll"><table>'
         f"<tr><th>outcome</th><th>reason</th>{head}</tr>{lines}</table></div>{rest}</details>"
     )
 
@@ -107,7 +107,8 @@ def trials_section(folder: Path, rows: Sequence[Row]) -> str:
         for r in rows
     )
     return (
-        f'<section><h2>Every trial</h2><details><summary>{len(rows)} trials</summary><div class="scroll"><table>'
+        f"<section><h2>Every trial</h2><details><summary>{counted(len(rows), 'trial')}</summary>"
+        '<div class="scroll"><table>'
         f"<tr><th>case</th><th>variant</th><th>outcome</th>{head}<th>reason</th><th></th></tr>{lines}</table></div></details></section>"
     )
 

@@ -18,7 +18,7 @@ from variant_tables import Comparison, Place, successes
 
 TITLES = {"sdm_b": "SDM-B", "t12": "T12"}
 HEAD = (
-    "robot", "delay [s]", "variant", "trials", "succeeded", "95 % interval", "against {}", "p (Holm)", "tipped over", "collisions",
+    "robot", "delay [s]", "variant", "trials", "succeeded", "95 % interval", "difference", "from", "p (Holm)", "tipped over", "collisions",
     "other outcomes", "median progress [m]", "median mission time [min]*", "median command cycles*",
 )  # fmt: skip
 
@@ -39,7 +39,7 @@ def write_parquet(path: Path, rows: Sequence[Row]) -> bool:
         return False
     pyarrow, parquet = (importlib.import_module(name) for name in ("pyarrow", "pyarrow.parquet"))
     flat, columns = flattened(rows)
-    parquet.write_table(pyarrow.table({c: _alike([row.get(c) for row in flat]) for c in columns}), path)
+    parquet.write_table(pyarrow.table({c: _alike([row[c] for row in flat]) for c in columns}), path)
     return True
 
 
@@ -50,12 +50,13 @@ def flattened(rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
     first = [c for c in ("case", "robot", "scenario", "seed", "delay_s", "variant", "outcome", "success", "reason") if c in named]
     # A summary that some trials lack as a whole is a null there, not a column of its own.
     hollow = {c for c in named if any(other.startswith(f"{c}.") for other in named)}
-    return flat, [*first, *(c for c in named if c not in first and c not in hollow)]
+    columns = [*first, *(c for c in named if c not in first and c not in hollow)]
+    return [{c: row.get(c) for c in columns} for row in flat], columns
 
 
 def markdown(rows: list[Row], places: Sequence[Place], variants: Sequence[str], compared: Sequence[Comparison]) -> str:
     """Rates of success and their differences, a row for each robot, delay and variant."""
-    lines = ["| " + " | ".join(HEAD).format(cell(variants[0])) + " |", "|" + "---|" * len(HEAD)]
+    lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     for place in places:
         tested = {c.variant: c for c in compared if c.place == place and c.metric is SUCCESS}
         for found in successes(rows, place, variants):
@@ -76,6 +77,17 @@ def p_value(p: float) -> str:
     if p != p:
         return "–"
     return "< 0.001" if p < 0.001 else f"{p:.3f}"
+
+
+def p_text(p: float) -> str:
+    """A p-value with its name."""
+    shown = p_value(p)
+    return f"p {shown}" if shown.startswith("<") else f"p = {shown}"
+
+
+def counted(n: int, thing: str) -> str:
+    """So many things."""
+    return f"{n} {thing}" if n == 1 else f"{n} {thing}s"
 
 
 def title_of(robot: str) -> str:
@@ -103,14 +115,15 @@ def _cells(place: Place, variant: str, found: Rate, mine: list[Row], tested: Com
         value = median_of(rows, BY_NAME[name])
         return "–" if value is None else BY_NAME[name].number(value)
 
-    difference = p = "–"
+    difference = partner = p = "–"
     if tested is not None:
         d = tested.difference
         interval = f" ({SUCCESS.number(d.low, sign=True)} to {SUCCESS.number(d.high, sign=True)})" if d.low == d.low else ""
+        partner = cell(tested.baseline)
         difference, p = f"{SUCCESS.number(d.mean, sign=True)} points{interval}", p_value(tested.p_holm)
     return [
-        cell(place.robot), f"{place.delay_s:g}", cell(variant), str(found.trials), str(found.successes), share(found), difference, p,
-        str(sum(r["outcome"] == "tip_over" for r in mine)), f"{sum(hits):.0f}" if hits else "–",
+        cell(place.robot), f"{place.delay_s:g}", cell(variant), str(found.trials), str(found.successes), share(found),
+        difference, partner, p, str(sum(r["outcome"] == "tip_over" for r in mine)), f"{sum(hits):.0f}" if hits else "–",
         ", ".join(f"{n} {cell(name)}" for name, n in sorted(others.items())) or "none",
         middle(mine, "progress_m"), middle(well, "mission_time_s"), middle(well, "command_cycles"),
     ]  # fmt: skip

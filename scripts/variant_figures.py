@@ -10,14 +10,16 @@ from typing import Any
 
 import numpy as np
 from report_style import BIN_COLOURS, INK, MUTED, png, subplots
-from variant_export import median_of
+from variant_export import counted, median_of
 from variant_metrics import BY_NAME, Row, succeeded
 from variant_rows import PARTS
-from variant_tables import Place, places_of, scenarios_of, successes
+from variant_tables import Place, grounds_of, places_of, successes
 
-COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#24292f", "#8a8d91")
-"""of variants in their order; Okabe and Ito's, which colour-blind people tell apart"""
-MARKERS = "osD^vPX*"
+COLOURS = (
+    "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#24292f", "#8a8d91", "#882255", "#999933", "#332288", "#44aa99",
+)  # fmt: skip
+"""of variants in their order: Okabe and Ito's, then of Tol's muted ones; colour-blind people tell them apart, with the markers' help"""
+MARKERS = "osD^vPX"
 OUTCOMES = {
     "goal_reached": ("goal reached", "#009e73"),
     "cycles_done": ("gait cycles done", "#7fd0b5"),
@@ -43,16 +45,16 @@ class Look:
 
 
 def looks_of(variants: Sequence[str]) -> dict[str, Look]:
-    """A look for each variant; from the ninth on colours come again with another marker."""
+    """A look for each variant; from the thirteenth on colours come again with another marker."""
     return {
-        v: Look(colour=COLOURS[i % len(COLOURS)], marker=MARKERS[(i + i // len(COLOURS)) % len(MARKERS)]) for i, v in enumerate(variants)
+        v: Look(colour=COLOURS[i % len(COLOURS)], marker=MARKERS[i % len(MARKERS)]) for i, v in enumerate(variants)
     }
 
 
 def success_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look]) -> bytes:
-    """Rates of success with Wilson's intervals, in all scenarios together and in each."""
-    parts = scenarios_of(rows, place)
-    blocks = [("all scenarios", place), *((p.scenario or "", p) for p in parts)] if len(parts) > 1 else [(parts[0].scenario or "", place)]
+    """Rates of success with Wilson's intervals, on all grounds together and by density of rocks."""
+    parts = grounds_of(rows, place)
+    blocks = [("all grounds", place), *((p.ground, p) for p in parts)] if len(parts) > 1 else [(parts[0].ground, place)]
     variants = present(rows, place, looks)
     figure, axes = subplots(figsize=(WIDTH, 0.9 + (ROW * len(variants) + 0.32) * len(blocks)))
     ticks, y = [], 0.0
@@ -63,8 +65,8 @@ def success_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look]) ->
             r, look = found.rate, looks[found.variant]
             ticks.append((y, found.variant))
             if r.trials:
-                axes.plot([100 * r.low, 100 * r.high], [y, y], color=look.colour, lw=2.2, solid_capstyle="butt")
-                axes.plot(100 * r.share, y, look.marker, color=look.colour, ms=7)
+                axes.plot([100 * r.low, 100 * r.high], [y, y], color=look.colour, lw=2.2, solid_capstyle="butt", clip_on=False)
+                axes.plot(100 * r.share, y, look.marker, color=look.colour, ms=7, clip_on=False)
             axes.text(103.5, y, f"{r.successes}/{r.trials}", va="center", fontsize=8, color=MUTED)
             y += 1.0
         y += 0.3
@@ -113,7 +115,7 @@ def time_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look]) -> by
             axes.barh(y, minutes, left=left, height=0.72, color=BIN_COLOURS[part.removesuffix("_s")], edgecolor="white", lw=0.8)
             left += minutes
         n = len(well[variant])
-        axes.text(left, y, f"  {left:.0f} min, {n} trials" if n else "  none succeeded", va="center", fontsize=8, color=MUTED)
+        axes.text(left, y, f"  {left:.0f} min, {counted(n, 'trial')}" if n else "  none succeeded", va="center", fontsize=8, color=MUTED)
         longest = max(longest, left)
     _variants_below(axes, variants)
     axes.set(xlim=(0, 1.35 * max(longest, 1e-3)), xlabel="mean mission time of trials that succeeded [min]")

@@ -12,12 +12,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from variant_grounds import ground_of
+
 from athlete_twin.errors import ConfigError, RecordingError
 
 Row = dict[str, Any]
 
-SUCCEEDED = ("goal_reached", "cycles_done")
-"""outcomes that count as success; a trial ends with `cycles_done` only where its case caps the gait cycles"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +60,8 @@ class Metric:
     def number(self, value: float, *, sign: bool = False) -> str:
         """The value for people, without its unit."""
         text = f"{self.scale * value:{'+' if sign else ''}.{self.digits}f}"
+        if float(text) == 0.0:
+            return text.lstrip("+-")
         return text.replace("-", "−")  # a minus as wide as the plus
 
 
@@ -78,9 +80,9 @@ METRICS = (
     Metric(name="min_support_margin_m", title="least support margin", better="more", unit="m"),
     Metric(name="min_cps_margin_m", title="least CPS margin", better="more", unit="m"),
     Metric(name="min_tip_over_energy_m", title="least tip-over energy", better="more", unit="m", digits=3),
-    Metric(name="stage_times_s.plan.median", title="planning, median", better="less", unit="s"),
-    Metric(name="stage_times_s.plan.p95", title="planning, 95 %", better="less", unit="s"),
-    Metric(name="wall_time_s", title="computed in", better="less", unit="min", scale=1 / 60, digits=1, reached_only=True),
+    Metric(name="stage_times_s.plan.median", title="planning time (median)", better="less", unit="s"),
+    Metric(name="stage_times_s.plan.p95", title="planning time (95 %)", better="less", unit="s"),
+    Metric(name="wall_time_s", title="computing time", better="less", unit="min", scale=1 / 60, digits=1, reached_only=True),
 )
 """what is compared unless told otherwise, the most important first"""
 BY_NAME = {m.name: m for m in METRICS}
@@ -88,11 +90,15 @@ SUCCESS = BY_NAME["success"]
 
 
 def succeeded(row: Row) -> bool:
-    """Whether the trial reached its goal, or walked all the gait cycles that its case allows.
+    """Whether the trial reached its goal, or walked all the gait cycles to which its case caps the way.
 
-    A trial that could not be run (outcome `error`) did not: a variant that breaks its program reaches no goal either.
+    Who ends with `cycles_done` after as many as the scenario allows at all was not capped and did not arrive. A trial that could
+    not be run (outcome `error`) did not succeed: a variant that breaks its program reaches no goal either.
     """
-    return row["outcome"] in SUCCEEDED
+    if row["outcome"] != "cycles_done":
+        return bool(row["outcome"] == "goal_reached")
+    walked, allowed = row["gait_cycles"], ground_of(row["scenario"]).cycles
+    return walked is None or allowed is None or walked < allowed
 
 
 def metrics_named(names: Sequence[str] | None) -> tuple[Metric, ...]:

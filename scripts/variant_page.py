@@ -10,14 +10,14 @@ from pathlib import Path
 import numpy as np
 from report_style import image
 from variant_details import compared_table, films_section, provenance_footer, reasons_table, stage_table, trials_section
-from variant_export import median_of, p_value, share, title_of
+from variant_export import counted, median_of, p_value, share, title_of
 from variant_figures import Look, delay_figure, looks_of, outcome_figure, success_figure, time_figure
 from variant_metrics import BY_NAME, Row, succeeded
 from variant_rows import ERROR, RECOMMENDED
 from variant_spreads import difference_figure, spread_figure, stage_figure
-from variant_tables import Comparison, Place, effects_by_scenario, fewest_pairs, successes
+from variant_tables import Comparison, Place, effects_by_ground, fewest_pairs, successes
 from variant_targets import DELAY, targets
-from variant_words import answer, interval, needed, place_title, undecided
+from variant_words import answer, interval, needed, place_title, rates, undecided
 
 JITTER = 0
 """seed of the dots' places in the spreads"""
@@ -33,7 +33,11 @@ class Study:
     """every robot at every delay"""
     variants: tuple[str, ...]
     """the baseline first"""
+    partners: dict[str, str]
+    """what each other variant is held against"""
     compared: list[Comparison]
+    baseline: str | None
+    """as it was asked for"""
 
     @property
     def looks(self) -> dict[str, Look]:
@@ -50,9 +54,6 @@ def body(study: Study) -> str:
     """HTML of the whole page."""
     looks, rows = study.looks, study.rows
 
-    def at(place: Place) -> list[Comparison]:
-        return [c for c in study.compared if c.place == place]
-
     parts = [
         _header(study),
         _answers(study),
@@ -60,9 +61,10 @@ def body(study: Study) -> str:
         _gallery(
             study,
             "Success",
-            "Trials that reached their goal, or walked all the gait cycles that their case allows, with Wilson's 95 % interval.",
+            "Trials that reached their goal, or walked all the gait cycles to which their case caps the way, with Wilson's 95 % interval. "
+            "k is the share of ground under rocks.",
             lambda p: success_figure(rows, p, looks),
-            below=lambda p: _by_scenario(study, p),
+            below=lambda p: _by_ground(study, p),
         ),
         _gallery(
             study,
@@ -79,14 +81,7 @@ def body(study: Study) -> str:
             "easier ones; the paired differences below take cases on which both succeeded.",
             lambda p: time_figure(rows, p, looks),
         ),
-        _gallery(
-            study,
-            f"Differences from {html.escape(study.variants[0])}",
-            "Mean of the paired differences with its bootstrap (BCa) 95 % interval. A full mark is significant after Holm's "
-            "correction over the metrics, a hollow one is not. * over pairs in which both succeeded.",
-            lambda p: difference_figure(at(p), looks),
-            below=lambda p: compared_table(at(p)),
-        ),
+        *(_differences(study, partner) for partner in dict.fromkeys(study.partners.values())),
         _delays(study),
         _gallery(
             study,
@@ -116,11 +111,14 @@ def _header(study: Study) -> str:
     robots = " and ".join(title_of(r) for r in dict.fromkeys(p.robot for p in study.places))
     delays = ", ".join(f"{d:g}" for d in sorted({p.delay_s for p in study.places}))
     scenarios = ", ".join(sorted({r["scenario"] for r in rows}))
+    mock = any((r["provenance"] or {}).get("body") == "mock" for r in rows)
+    hollow = " <b>Walked by the mock, without physics on flat ground: these figures say nothing of the robots.</b>" if mock else ""
     lost = f" {broken} of them could not be run and count as not reached." if broken else ""
+    trials, cases = counted(len(rows), "trial"), counted(len({r["case"] for r in rows}), "case")
     keys = "".join(f'<span><i style="background:{look.colour}"></i>{html.escape(v)}</span>' for v, look in study.looks.items())
     return (
         f"<header><h1>Planner variants compared</h1><p>{html.escape(robots)} in {html.escape(scenarios)}; {delays} s of delay each way; "
-        f'{len(rows)} trials, {len({r["case"] for r in rows})} cases.{lost}</p><div class="key">{keys}</div></header>'
+        f'{trials}, {cases}.{lost}{hollow}</p><div class="key">{keys}</div></header>'
     )
 
 
@@ -128,8 +126,10 @@ def _answers(study: Study) -> str:
     first = "".join(_answer(study, p) for p in study.places if study.shown_first(p))
     rest = "".join(_answer(study, p) for p in study.places if not study.shown_first(p))
     folded = f"<details><summary>The same at other delays</summary>{rest}</details>" if rest else ""
-    base = html.escape(study.variants[0])
-    against = f"Each variant is held against <b>{base}</b>; a difference is the variant's figure less {base}'s. " if study.compared else ""
+    base, partners = html.escape(study.variants[0]), dict.fromkeys(study.partners.values())
+    against = f"Variants are held against <b>{base}</b>; a difference is the variant's figure less {base}'s. " if study.compared else ""
+    for partner in (html.escape(p) for p in partners if p != study.variants[0]):
+        against += f"Those that differ from {partner} in one stage are held against {partner}. "
     level = "Significant means at 5 % after Holm's correction over the metrics."
     return f"<section><h2>The answer</h2><p>{against}{level}</p>{first}{folded}</section>"
 
@@ -156,8 +156,10 @@ def _answer(study: Study, place: Place) -> str:
         f'<th class="n">{t}</th>'
         for t in ("succeeded", "95 % interval", "difference", "p (Holm)", "progress", "peak torque", "mission time*", "command cycles*")
     )
-    said = _list(answer(study.rows, place, study.variants, study.compared))
-    open_questions = _list(undecided(study.rows, place, study.variants, study.compared))
+    alone = ["Nothing to hold against each other: one variant only."] if not study.partners else []
+    against = answer(study.rows, place, study.partners, study.compared)
+    said = _list([rates(study.rows, place, study.variants), *alone, *against])
+    open_questions = _list(undecided(place, study.partners, study.compared))
     if open_questions:
         said += f"<details><summary>Not significant in other figures</summary>{open_questions}</details>"
     return (
@@ -207,22 +209,36 @@ def _gallery(
     return f"<section><h2>{title}</h2><p>{text}</p>{first}{folded}</section>" if first or rest else ""
 
 
-def _by_scenario(study: Study, place: Place) -> str:
-    effects = effects_by_scenario(study.rows, place, baseline=study.variants[0])
-    if not effects:
+def _by_ground(study: Study, place: Place) -> str:
+    effects = effects_by_ground(study.rows, place, baseline=study.baseline)
+    if len({c.place.ground for c in effects}) < 2:
         return ""
     lines = "".join(
-        f"<tr><td>{html.escape(c.place.scenario or '')}</td><td>{_named(study, c.variant)}</td>"
+        f"<tr><td>{html.escape(c.place.ground)}</td><td>{_named(study, c.variant)}</td>"
         f'<td class="n">{html.escape(interval(c))}</td><td class="n">{c.difference.pairs}</td><td class="n">{p_value(c.p_holm)}</td>'
         f'<td class="n">{html.escape(needed(c)) if c.difference.mean and not c.significant else ""}</td></tr>'
         for c in effects
     )
     numbers = "".join(f'<th class="n">{t}</th>' for t in ("success", "pairs", "p (Holm)", "would take"))
-    head = f"<th>scenario</th><th>variant</th>{numbers}"
-    base = html.escape(study.variants[0])
+    head = f"<th>ground</th><th>variant</th>{numbers}"
     return (
-        f'<details><summary>Against {base}, scenario by scenario</summary><div class="scroll"><table><tr>{head}</tr>{lines}</table></div>'
-        '<p class="small">Holm\'s correction over the scenarios.</p></details>'
+        f'<details><summary>Differences ground by ground</summary><div class="scroll"><table><tr>{head}</tr>{lines}</table></div>'
+        '<p class="small">k is the share of ground under rocks. Holm\'s correction over the grounds.</p></details>'
+    )
+
+
+def _differences(study: Study, partner: str) -> str:
+    def at(place: Place) -> list[Comparison]:
+        return [c for c in study.compared if c.place == place and c.baseline == partner]
+
+    stages = partner != study.variants[0]
+    return _gallery(
+        study,
+        f"{'What stages contribute: differences' if stages else 'Differences'} from {html.escape(partner)}",
+        "Mean of the paired differences with its bootstrap (BCa) 95 % interval. A full mark is significant after Holm's correction over "
+        "the metrics, a hollow one is not. * over pairs in which both succeeded.",
+        lambda p: difference_figure(at(p), study.looks),
+        below=lambda p: compared_table(at(p)),
     )
 
 

@@ -20,7 +20,7 @@ from report_style import page
 from variant_export import markdown, write_csv, write_parquet
 from variant_metrics import metrics_named
 from variant_page import Study, body
-from variant_rows import picked_trials, read_rows, variants_of
+from variant_rows import partners_of, picked_trials, read_rows, variants_of
 from variant_tables import comparisons, places_of
 
 from athlete_twin.errors import AthleteError, RecordingError
@@ -39,7 +39,7 @@ class Options:
     metrics: tuple[str, ...] | None = None
     """figures to compare and to correct for, such as success or sag_error_m.mean; all of them unless given"""
     baseline: str | None = None
-    """variant that the others are held against; integrated where it takes part, else the first by name"""
+    """variant that all others are held against; the first of results.jsonl, or what a variant differs from in one stage"""
 
 
 def write_report(folder: Path, *, metrics: Sequence[str] | None = None, baseline: str | None = None) -> Path:
@@ -48,7 +48,8 @@ def write_report(folder: Path, *, metrics: Sequence[str] | None = None, baseline
     Args:
         folder: holds `results.jsonl`.
         metrics: names of what is compared and corrected for, as `variant_metrics` knows them; None for all.
-        baseline: the variant that others are held against; None as `variants_of` chooses.
+        baseline: the variant that others are held against; None for the first, or where a variant differs
+            from another in one stage for that one.
 
     Raises:
         ConfigError: a metric or the baseline is unknown.
@@ -59,7 +60,10 @@ def write_report(folder: Path, *, metrics: Sequence[str] | None = None, baseline
     variants = variants_of(rows, baseline)
     places = places_of(rows)
     compared = [c for place in places for c in comparisons(rows, place, metrics=chosen, baseline=baseline)]
-    study = Study(folder=folder, rows=rows, places=places, variants=variants, compared=compared)
+    study = Study(
+        folder=folder, rows=rows, places=places, variants=variants, compared=compared, baseline=baseline,
+        partners=partners_of(variants, all_against_first=baseline is not None),
+    )  # fmt: skip
     path = folder / PAGE
     try:
         write_csv(folder / "results.csv", rows)

@@ -6,6 +6,7 @@ The last line may be torn, since a run that is killed dies while it writes; what
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,19 @@ FILE = "results.jsonl"
 ERROR = "error"
 """outcome of a trial that could not be run"""
 RECOMMENDED = "integrated"
-"""the variant that others are held against unless told otherwise, where it takes part"""
+"""the variant of which something is wanted"""
 IDENTIFYING = ("robot", "scenario", "variant", "seed", "delay_s", "case", "folder", "outcome", "reason", "suite_sha256", "provenance")
 PARTS = ("motion_s", "link_s", "operator_s", "ground_s")
-REQUIRED = (*IDENTIFYING, *PARTS, *dict.fromkeys(m.name.split(".")[0] for m in METRICS if m.name != "success"))
+STAGES = (
+    "self_mask", "fusion", "localisation", "sag", "margin", "footfall", "leg_planner", "smoothing", "gait", "body_motion", "touchdown",
+    "unknown_terrain", "level_deck",
+)  # fmt: skip
+"""of a planner, as the keys of a variant name them"""
+REQUIRED = (*IDENTIFYING, "gait_cycles", *PARTS, *dict.fromkeys(m.name.split(".")[0] for m in METRICS if m.name != "success"))
 
 
 def read_rows(folder: Path) -> list[Row]:
-    """Rows of the folder's `results.jsonl`, ordered by case and variant whatever order they were written in.
+    """Rows of the folder's `results.jsonl`: variants in the order in which they first stand there, of each its cases by name.
 
     Raises:
         RecordingError: the file is missing, empty or broken, or mixes suites or versions.
@@ -34,7 +40,7 @@ def read_rows(folder: Path) -> list[Row]:
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError) as e:
         raise RecordingError(f"{path} cannot be read ({e}); name a folder written by benchmark_variants.py") from e
-    rows: dict[tuple[str, str], tuple[int, Row]] = {}
+    rows: dict[tuple[str, str], tuple[int, Row]] = {}  # by case and variant, with the number of the line
     for number, line in enumerate(lines, start=1):
         if not line.strip():
             continue
@@ -50,21 +56,42 @@ def read_rows(folder: Path) -> list[Row]:
     if not rows:
         raise RecordingError(f"{path} holds no whole row yet; run benchmark_variants.py --out {folder} until a trial has ended")
     _of_one_kind(path, list(rows.values()))
-    return [row for _, row in sorted(rows.values(), key=lambda numbered: (numbered[1]["case"], numbered[1]["variant"]))]
+    order = {variant: i for i, variant in enumerate(dict.fromkeys(variant for _, variant in rows))}
+    return sorted((row for _, row in rows.values()), key=lambda row: (order[row["variant"]], row["case"]))
 
 
 def variants_of(rows: list[Row], baseline: str | None = None) -> tuple[str, ...]:
-    """Names of the variants, the one that others are held against first, then by name.
+    """Names of the variants in the order of the rows, but for the baseline, which is the first.
 
     Args:
         rows: of a comparison.
-        baseline: the first; None for `integrated`, or the first by name where that takes no part.
+        baseline: the variant that others are held against; None for the first of the rows.
     """
-    names = sorted({str(row["variant"]) for row in rows})
+    names = list(dict.fromkeys(str(row["variant"]) for row in rows))
     if baseline is not None and baseline not in names:
         raise ConfigError(f"baseline {baseline!r} was not run; the variants are {', '.join(names)}")
-    first = baseline or (RECOMMENDED if RECOMMENDED in names else names[0])
+    first = baseline or names[0]
     return (first, *(name for name in names if name != first))
+
+
+def partners_of(variants: Sequence[str], *, all_against_first: bool = False) -> dict[str, str]:
+    """What each variant but the first is held against.
+
+    That is the first, but for a variant which differs from another in one stage and is named so: `drats_2010_sag` is held against
+    `drats_2010` where that takes part, which tells what the stage contributes.
+
+    Args:
+        variants: the baseline first.
+        all_against_first: leave no exception.
+    """
+    first, *others = variants
+    partners = dict.fromkeys(others, first)
+    for variant in () if all_against_first else others:
+        for stage in STAGES:
+            base = variant.removesuffix(f"_{stage}")
+            if base != variant and base in variants:
+                partners[variant] = base
+    return partners
 
 
 def picked_trials(rows: list[Row]) -> dict[tuple[str, str], dict[str, Row]]:
@@ -130,7 +157,7 @@ def _of_one_kind(path: Path, numbered: list[tuple[int, Row]]) -> None:
     """Refuses rows whose figures do not compare: of two suites, or computed by two versions."""
     _one(path, "suites", [(n, row["suite_sha256"]) for n, row in numbered])
     origins = [(n, row["provenance"]) for n, row in numbered if row["provenance"]]
-    for key in ("version", "git_sha", "packages"):
+    for key in ("version", "git_sha", "packages", "code_sha256"):
         _one(path, f"versions ({key})", [(n, origin.get(key)) for n, origin in origins])
 
 

@@ -7,13 +7,15 @@ as far as they were measured at all.
 
 from __future__ import annotations
 
+import math
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from variant_grounds import ground_of
 from variant_metrics import METRICS, SUCCESS, Metric, Row, succeeded
-from variant_rows import variants_of
+from variant_rows import partners_of, variants_of
 from variant_statistics import PairedDifference, Rate, holm, paired_difference, rate
 
 SIGNIFICANCE = 0.05
@@ -27,13 +29,15 @@ class Place:
 
     robot: str
     delay_s: float
-    scenario: str | None = None
-    """None for all scenarios of the suite together"""
+    scenarios: tuple[str, ...] | None = None
+    """None for all of the suite together"""
+    ground: str = ""
+    """what these scenarios have in common"""
 
     def has(self, row: Row) -> bool:
         """Whether a trial belongs here."""
-        same_scenario = self.scenario is None or row["scenario"] == self.scenario
-        return bool(row["robot"] == self.robot and float(row["delay_s"]) == self.delay_s and same_scenario)
+        known = self.scenarios is None or row["scenario"] in self.scenarios
+        return bool(row["robot"] == self.robot and float(row["delay_s"]) == self.delay_s and known)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,9 +79,17 @@ def places_of(rows: Sequence[Row]) -> list[Place]:
     return [Place(robot=robot, delay_s=delay) for robot, delay in sorted({(r["robot"], float(r["delay_s"])) for r in rows})]
 
 
-def scenarios_of(rows: Sequence[Row], place: Place) -> list[Place]:
-    """The place's scenarios by name, each a place of its own."""
-    return [replace(place, scenario=name) for name in sorted({r["scenario"] for r in rows if place.has(r)})]
+def grounds_of(rows: Sequence[Row], place: Place) -> list[Place]:
+    """The place by density of its rocks, and scenarios without a density each by itself; densities first, ascending."""
+    groups: dict[tuple[float, str], list[str]] = {}
+    for name in sorted({r["scenario"] for r in rows if place.has(r)}):
+        k = ground_of(name).density
+        groups.setdefault((math.inf, name) if k is None else (k, ""), []).append(name)
+    found = []
+    for (k, name), names in sorted(groups.items()):
+        ground = name or (f"k = {k:.2f}" if len(names) > 1 else f"{names[0]}, k = {k:.2f}")
+        found.append(replace(place, scenarios=tuple(names), ground=ground))
+    return found
 
 
 def successes(rows: Sequence[Row], place: Place, variants: Sequence[str]) -> list[Success]:
@@ -90,19 +102,17 @@ def successes(rows: Sequence[Row], place: Place, variants: Sequence[str]) -> lis
 def comparisons(
     rows: list[Row], place: Place, *, metrics: Sequence[Metric] = METRICS, baseline: str | None = None
 ) -> list[Comparison]:
-    """Every variant against the baseline, in every metric; variants without a pair here are left out.
+    """Every variant against its partner, in every metric; variants without a pair here are left out.
 
     Args:
         rows: of a comparison.
         place: whose trials are taken.
         metrics: over which Holm's correction runs.
-        baseline: as `variants_of` takes it.
+        baseline: against which all are held; None for what `partners_of` says.
     """
-    first, *others = variants_of(rows, baseline)
-    base = {r["case"]: r for r in rows if place.has(r) and r["variant"] == first}
     found = []
-    for variant in others:
-        mine = {r["case"]: r for r in rows if place.has(r) and r["variant"] == variant}
+    for variant, partner in partners_of(variants_of(rows, baseline), all_against_first=baseline is not None).items():
+        base, mine = ({r["case"]: r for r in rows if place.has(r) and r["variant"] == v} for v in (partner, variant))
         cases = sorted(base.keys() & mine.keys())
         if not cases:
             continue
@@ -110,8 +120,8 @@ def comparisons(
         pairs = [(base[case], mine[case]) for case in cases]
         compared = [
             Comparison(
-                place=place, variant=variant, baseline=first, metric=metric, unpaired=unpaired,
-                difference=_difference(pairs, metric, seed=f"{place}|{first}|{variant}|{metric.name}"),
+                place=place, variant=variant, baseline=partner, metric=metric, unpaired=unpaired,
+                difference=_difference(pairs, metric, seed=f"{place}|{partner}|{variant}|{metric.name}"),
             )
             for metric in metrics
         ]  # fmt: skip
@@ -119,9 +129,9 @@ def comparisons(
     return found
 
 
-def effects_by_scenario(rows: list[Row], place: Place, *, baseline: str | None = None) -> list[Comparison]:
-    """Success of every variant against the baseline in each scenario by itself; Holm's correction runs over the scenarios."""
-    found = [c for part in scenarios_of(rows, place) for c in comparisons(rows, part, metrics=(SUCCESS,), baseline=baseline)]
+def effects_by_ground(rows: list[Row], place: Place, *, baseline: str | None = None) -> list[Comparison]:
+    """Success of every variant at each density of rocks by itself; Holm's correction runs over the densities."""
+    found = [c for part in grounds_of(rows, place) for c in comparisons(rows, part, metrics=(SUCCESS,), baseline=baseline)]
     corrected = []
     for variant in dict.fromkeys(c.variant for c in found):
         corrected += _corrected([c for c in found if c.variant == variant])

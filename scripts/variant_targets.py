@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-from variant_export import p_value, share, title_of
+from variant_export import p_text, share, title_of
 from variant_metrics import BY_NAME, Row, succeeded
 from variant_rows import RECOMMENDED
 from variant_statistics import rate
@@ -124,7 +124,7 @@ def _fewer_cycles(robot: str, rows: list[Row]) -> Target:
     return Target(
         robot=robot, wanted=wanted, met=d.mean < 0.0,
         measured=f"{metric.number(d.mean, sign=True)} by the mean of {d.pairs} pairs that both succeeded on",
-        note=f"{'significant' if d.p < SIGNIFICANCE else 'not significant'}, p = {p_value(d.p)} by itself",
+        note=f"{'significant' if d.p < SIGNIFICANCE else 'not significant'}, {p_text(d.p)} by itself",
     )  # fmt: skip
 
 

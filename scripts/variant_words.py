@@ -4,34 +4,45 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from variant_export import p_value, share, title_of
+from variant_export import counted, p_text, share, title_of
 from variant_metrics import Row
 from variant_tables import Comparison, Place, Success, fewest_pairs, successes
 
 
 def place_title(place: Place) -> str:
     """A robot at a delay, for a heading."""
-    where = f" in {place.scenario}" if place.scenario else ""
-    return f"{title_of(place.robot)}{where}, {place.delay_s:g} s of delay each way"
+    return f"{title_of(place.robot)}, {place.delay_s:g} s of delay each way"
 
 
-def answer(rows: list[Row], place: Place, variants: Sequence[str], compared: Sequence[Comparison]) -> list[str]:
-    """Sentences about one place, plain text: success, then all that is significant, and whether success is not."""
-    run = [s for s in successes(rows, place, variants) if s.rate.trials]
-    sentences = ["Success: " + "; ".join(_often(s) for s in run) + "."]
-    if len(run) < 2 or run[0].variant != variants[0]:
-        why = "one variant only" if len(run) < 2 else f"{variants[0]} was not run"
-        return [*sentences, f"Nothing to hold against each other here: {why}."]
-    for s in run[1:]:
-        sentences += _against(s.variant, variants[0], _of(compared, place, s.variant))
-    return sentences
+def answer(rows: list[Row], place: Place, partners: dict[str, str], compared: Sequence[Comparison]) -> list[str]:
+    """Sentences about one place, plain text: who succeeds how often, then each variant against its partner.
+
+    Args:
+        rows: of the comparison.
+        place: about which.
+        partners: what each variant is held against.
+        compared: all differences.
+    """
+    run = {s.variant for s in successes(rows, place, [*partners.values(), *partners]) if s.rate.trials}
+    out = []
+    # Those that differ in one stage come after the variants that are ways of planning of their own.
+    for variant, partner in sorted(partners.items(), key=lambda pair: list(partners.values()).index(pair[1])):
+        if variant in run:
+            mine = [c for c in compared if c.place == place and c.variant == variant]
+            out += _against(variant, partner, mine, met=partner in run)
+    return out
 
 
-def undecided(rows: list[Row], place: Place, variants: Sequence[str], compared: Sequence[Comparison]) -> list[str]:
+def rates(rows: list[Row], place: Place, variants: Sequence[str]) -> str:
+    """One sentence: who succeeds how often."""
+    return "Success: " + "; ".join(_often(s) for s in successes(rows, place, variants) if s.rate.trials) + "."
+
+
+def undecided(place: Place, partners: dict[str, str], compared: Sequence[Comparison]) -> list[str]:
     """Sentences about the figures but success that are not significant at one place, with the pairs each would need."""
     out = []
-    for variant in (s.variant for s in successes(rows, place, variants) if s.variant != variants[0]):
-        mine, pair = _of(compared, place, variant), f"{variant} against {variants[0]}"
+    for variant, partner in partners.items():
+        mine, pair = [c for c in compared if c.place == place and c.variant == variant], f"{variant} against {partner}"
         rest = [c for c in mine if c.difference.pairs and not c.significant and c.metric.name != "success"]
         if rest:
             listed = ", ".join(f"{c.metric.title} ({needed(c) if c.difference.mean else 'alike'})" for c in rest)
@@ -55,7 +66,7 @@ def needed(c: Comparison) -> str:
     n = c.difference.seeds_needed
     if n is None:
         return "no number of pairs below 100,000"
-    return f"{n} pairs"
+    return counted(n, "pair")
 
 
 def _often(found: Success) -> str:
@@ -63,34 +74,37 @@ def _often(found: Success) -> str:
     return f"{found.variant} {r.successes} of {r.trials} ({100 * r.share:.0f} %, interval {share(r)})"
 
 
-def _against(variant: str, baseline: str, mine: list[Comparison]) -> list[str]:
+def _against(variant: str, partner: str, mine: list[Comparison], *, met: bool) -> list[str]:
     if not mine:
-        return [f"{variant} and {baseline} share no case: nothing is compared."]
+        return [f"{variant} and {partner} share no case: nothing is compared." if met else f"{variant}: {partner} was not run here."]
     tested = [c for c in mine if c.difference.pairs]
-    significant = [c for c in tested if c.significant]
-    listed = "; ".join(
-        f"{c.metric.title} {'better' if c.better else 'worse'} ({interval(c)}; p = {p_value(c.p_holm)}, {c.difference.pairs} pairs)"
-        for c in significant
-    )
-    out = [f"{variant} differs significantly from {baseline}: {listed or 'in nothing'}."]
-    out += [_open(c) for c in tested if c.metric.name == "success" and not c.significant]
+    said = [_success(c) for c in tested if c.metric.name == "success"]
+    significant = [c for c in tested if c.significant and c.metric.name != "success"]
+    if significant:
+        said.append("significant: " + "; ".join(f"{c.metric.title} {_side(c)} ({_evidence(c)})" for c in significant))
+    elif any(c.metric.name != "success" for c in tested):
+        said.append("no other figure differs significantly")
     most, least = max((c.difference.pairs for c in tested), default=0), fewest_pairs(max(len(tested), 1))
     if most < least:
-        out.append(f"With {most} pairs nothing can be significant among {len(tested)} metrics; that takes {least} pairs or more.")
+        pairs, metrics = counted(most, "pair"), counted(len(tested), "metric")
+        said.append(f"with {pairs} nothing can be significant among {metrics}, that takes {least} pairs or more")
     if mine[0].unpaired:
-        out.append(f"{mine[0].unpaired} trials of {variant} or {baseline} have no partner and are left out of the differences.")
-    return out
+        said.append(f"{counted(mine[0].unpaired, 'trial')} of either without a partner, left out of the differences")
+    return [f"{variant} against {partner}: " + ". ".join(s[0].upper() + s[1:] if i else s for i, s in enumerate(said)) + "."]
 
 
-def _open(c: Comparison) -> str:
-    """What is to be said of a success that is not significantly another."""
+def _success(c: Comparison) -> str:
+    """Whether one succeeds more often than the other."""
+    if c.significant:
+        return f"succeeds significantly {'more' if c.better else 'less'} often ({_evidence(c)})"
     if c.difference.mean == 0.0:
-        return f"{c.variant} succeeds as often as {c.baseline} in {c.difference.pairs} pairs."
-    return (
-        f"{c.variant} against {c.baseline}, success: not significant ({interval(c)}; p = {p_value(c.p_holm)}, "
-        f"{c.difference.pairs} pairs); showing this difference would take {needed(c)}."
-    )
+        return f"succeeds as often in {counted(c.difference.pairs, 'pair')}"
+    return f"success not significantly {_side(c)} ({_evidence(c)}; showing this difference would take {needed(c)})"
 
 
-def _of(compared: Sequence[Comparison], place: Place, variant: str) -> list[Comparison]:
-    return [c for c in compared if c.place == place and c.variant == variant]
+def _side(c: Comparison) -> str:
+    return "better" if c.better else "worse"
+
+
+def _evidence(c: Comparison) -> str:
+    return f"{interval(c)}; {p_text(c.p_holm)}, {counted(c.difference.pairs, 'pair')}"
