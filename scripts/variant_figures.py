@@ -17,6 +17,7 @@ from variant_tables import Place, grounds_of, places_of, successes
 
 COLOURS = (
     "#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#24292f", "#8a8d91", "#882255", "#999933", "#332288", "#44aa99",
+    "#aa4499", "#ddcc77", "#661100", "#6699cc",
 )  # fmt: skip
 """of variants in their order: Okabe and Ito's, then of Tol's muted ones; colour-blind people tell them apart, with the markers' help"""
 MARKERS = "osD^vPX"
@@ -45,7 +46,7 @@ class Look:
 
 
 def looks_of(variants: Sequence[str]) -> dict[str, Look]:
-    """A look for each variant; from the thirteenth on colours come again with another marker."""
+    """A look for each variant; from the seventeenth on colours come again with another marker."""
     return {
         v: Look(colour=COLOURS[i % len(COLOURS)], marker=MARKERS[i % len(MARKERS)]) for i, v in enumerate(variants)
     }
@@ -165,7 +166,7 @@ def outcome_look(kind: str) -> tuple[str, str]:
     return OUTCOMES.get(kind, (short(kind), "#b9bcc1"))
 
 
-def short(text: str, most: int = 22) -> str:
+def short(text: str, most: int = 24) -> str:
     """A name that fits beside a bar, and that matplotlib takes for text and nothing else."""
     return textwrap.shorten(text.replace("$", r"\$"), most, placeholder="…") if " " in text else _cut(text, most)
 
