@@ -236,7 +236,7 @@ def _differences(study: Study, partner: str) -> str:
         study,
         f"{'What stages contribute: differences' if stages else 'Differences'} from {html.escape(partner)}",
         "Mean of the paired differences with its bootstrap (BCa) 95 % interval. A full mark is significant after Holm's correction over "
-        "the metrics, a hollow one is not. * over pairs in which both succeeded.",
+        "the metrics, a hollow one is not. Arrows point to the better side. * over pairs in which both succeeded.",
         lambda p: difference_figure(at(p), study.looks),
         below=lambda p: compared_table(at(p)),
     )

@@ -21,11 +21,18 @@ STAGES = ("plan", "footfall", "stereo", "self_mask", "localise", "bundle", "fuse
 
 
 def difference_figure(compared: Sequence[Comparison], looks: dict[str, Look]) -> bytes | None:
-    """A panel a metric, a dot a variant: its difference from the baseline with the 95 % interval; None of no differences."""
+    """A panel a metric, a dot a variant: its difference with the 95 % interval; None of no differences.
+
+    Args:
+        compared: all against one baseline.
+        looks: of the variants.
+    """
     metrics = list({c.metric.name: c.metric for c in compared if c.difference.pairs}.values())
     if not metrics:
         return None
     variants = [v for v in looks if any(c.variant == v for c in compared)]
+    # What differs in one stage is named by that alone.
+    names = [v.removeprefix(f"{compared[0].baseline}_") for v in variants]
     columns = 2
     lines = -(-len(metrics) // columns)
     figure, axes = subplots(lines, columns, figsize=(WIDTH, 0.5 + lines * (0.86 + 0.2 * len(variants))), sharey=True, squeeze=False)
@@ -35,9 +42,10 @@ def difference_figure(compared: Sequence[Comparison], looks: dict[str, Look]) ->
                 _difference(ax, y, c, looks[variant])
         ax.axvline(0.0, color=MUTED, lw=0.9)
         ax.set_title(_titled(metric), fontsize=8.5)
-        ax.set_title("better →" if metric.better == "more" else "← better", loc="right", fontsize=7, fontweight="normal", color=MUTED)
-        _panel(ax, variants)
-        _symmetric(ax)
+        ax.set_title("→" if metric.better == "more" else "←", loc="right", fontsize=9, fontweight="normal", color=MUTED)
+        _panel(ax, names)
+        far = _farthest([c for c in compared if c.metric is metric])
+        ax.set_xlim(-far, far)  # zero in the middle, so that panels read alike
     for ax in axes.flat[len(metrics) :]:
         ax.set_visible(False)
     return png(figure)
@@ -150,11 +158,10 @@ def _titled(metric: Metric) -> str:
     return f"{metric.title}{f' [{unit}]' if unit else ''}{' *' if metric.reached_only else ''}"
 
 
-def _symmetric(axes: Any) -> None:
-    """Zero in the middle, so that panels read alike."""
-    far = max(abs(v) for v in axes.dataLim.intervalx) if np.isfinite(axes.dataLim.intervalx).all() else 0.0
-    far = 1.15 * far or 1.0
-    axes.set_xlim(-far, far)
+def _farthest(compared: Sequence[Comparison]) -> float:
+    """Half the width of a panel, in the metric's unit: what is to be seen and some air."""
+    values = [c.metric.scale * v for c in compared for v in (c.difference.mean, c.difference.low, c.difference.high) if np.isfinite(v)]
+    return 1.15 * max((abs(v) for v in values), default=0.0) or 1.0
 
 
 def _measured(rows: Sequence[Row], place: Place, variants: Sequence[str], metric: Metric) -> dict[str, list[float]]:
