@@ -7,7 +7,6 @@ Writes `report.html` into the trial's folder. Exit status 0 when it was written,
 
 from __future__ import annotations
 
-import base64
 import html
 import math
 import sys
@@ -19,7 +18,7 @@ from report_eyes import eyes_figure
 from report_maps import map_error_figure, maps_figure
 from report_sag import measured_sags, sag_figure
 from report_series import series_figure, timeline_figure
-from report_style import BIN_COLOURS, LEG_COLOURS
+from report_style import BIN_COLOURS, LEG_COLOURS, page, picture
 from trial_recording import BINS, TrialRecording, load_recording
 
 from athlete_twin.errors import AthleteError
@@ -35,40 +34,6 @@ OUTCOMES = {
     "fault": ("Fault", "bad"),
     "tip_over": ("Tipped over", "bad"),
 }
-STYLE = """
-:root { color-scheme: light; --ink: #24292f; --muted: #6b7280; --line: #e5e7eb; --paper: #ffffff; --back: #f6f7f9 }
-* { box-sizing: border-box }
-body { margin: 0; background: var(--back); color: var(--ink); line-height: 1.45;
-  font: 15px/1.45 system-ui, -apple-system, "Segoe UI", Roboto, "Helvetica Neue", Arial, sans-serif }
-main { max-width: 1180px; margin: 0 auto; padding: 28px 20px 60px }
-header h1 { font-size: 26px; margin: 0 0 2px; letter-spacing: -0.01em }
-header p { margin: 4px 0; color: var(--muted) }
-.badge { display: inline-block; border-radius: 999px; padding: 3px 14px; font-weight: 600; font-size: 15px; color: #fff }
-.good { background: #15803d } .fair { background: #b45309 } .bad { background: #b91c1c }
-.reason { margin-left: 10px; overflow-wrap: anywhere }
-section { background: var(--paper); border: 1px solid var(--line); border-radius: 10px;
-  padding: 18px 20px; margin-top: 18px }
-h2 { font-size: 17px; margin: 0 0 10px } section > p { margin: 0 0 12px; color: var(--muted); max-width: 85ch }
-img { display: block; width: 100%; height: auto } img.narrow { max-width: 900px; margin: 0 auto }
-.tiles { display: flex; flex-wrap: wrap; gap: 12px; margin-top: 18px } .tile { flex: 1 1 110px }
-.tile { background: var(--paper); border: 1px solid var(--line); border-radius: 10px; padding: 12px 14px }
-.tile b { display: block; font-size: 22px; font-weight: 650; font-variant-numeric: tabular-nums }
-.tile span { color: var(--muted); font-size: 13px }
-.bar { display: flex; height: 26px; border-radius: 6px; overflow: hidden }
-.bar div { min-width: 0 }
-.key { display: flex; flex-wrap: wrap; gap: 6px 22px; margin-top: 10px; font-variant-numeric: tabular-nums }
-.key i { display: inline-block; width: 11px; height: 11px; border-radius: 3px; margin-right: 7px }
-.tables { display: flex; flex-wrap: wrap; gap: 4px 36px } .tables > div { flex: 1 1 420px }
-table { border-collapse: collapse; width: 100% }
-td, th { padding: 5px 8px 5px 0; border-bottom: 1px solid var(--line); vertical-align: top; text-align: left }
-th { color: var(--muted); font-weight: 500 }
-td.n, th.n { text-align: right; padding-right: 14px; font-variant-numeric: tabular-nums; white-space: nowrap }
-tr.rejected td { color: #b91c1c } caption { text-align: left; font-weight: 600; padding: 8px 0 4px }
-.disc { display: inline-block; min-width: 20px;
-  border-radius: 10px; color: #fff; text-align: center; font-size: 12px; font-weight: 600; padding: 0 6px }
-summary { cursor: pointer; font-weight: 600 } footer { color: var(--muted); font-size: 13px; margin-top: 22px; overflow-wrap: anywhere }
-.scroll { overflow-x: auto }
-"""
 
 
 def write_report(out_dir: Path) -> Path:
@@ -87,44 +52,40 @@ def report_html(trial: TrialRecording) -> str:
         _header(trial, title),
         _tiles(f),
         _mission_time(f),
-        _picture(
+        picture(
             "Seen from above",
             "Left the map that the ground made from the robot's pictures, right the true terrain. Discs are footfalls in "
             "the order of the steps, lines join those of one leg; the outline is the chassis at the end.",
             maps_figure(trial),
         ),
-        _picture("How good the map is", "", map_error_figure(trial)),
-        _picture(
+        picture("How good the map is", "", map_error_figure(trial)),
+        picture(
             "How a pair of pictures becomes terrain",
             "One stereo pair of this trial, matched again, and what the ground took for the robot itself and kept out of "
             "the map; pixels without a depth never get there anyway.",
             eyes_figure(trial),
             narrow=True,
         ),
-        _picture(
+        picture(
             "Sag, torque, stability and loads",
             "Sampled twice a second while the robot moves; the time axis includes the waiting. Stability counts loaded "
             "wheels only, so the margin drops whenever a leg swings; the rule holds for the support margin then, and for "
             "the conservative polygon with all wheels down." + _collision_note(trial),
             series_figure(trial),
         ),
-        _picture(
+        picture(
             "Sag, foreseen and measured",
             "By how much the chassis drops at its origin, or turns at the hip, while a leg is in the air: what the ground "
             "told the operator before each step, and what the robot did.",
             sag_figure(trial),
         ),
-        _picture("Who waited for whom", "", timeline_figure(trial)),
+        picture("Who waited for whom", "", timeline_figure(trial)),
         _all_figures(f),
         _proposals(trial),
         _collisions(trial),
         _footer(f),
     ]
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{html.escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head>'
-        f"<body><main>{''.join(parts)}</main></body></html>\n"
-    )
+    return page(title, "".join(parts))
 
 
 def _header(trial: TrialRecording, title: str) -> str:
@@ -248,15 +209,6 @@ def _collisions(trial: TrialRecording) -> str:
 
 def _collision_note(trial: TrialRecording) -> str:
     return " Red upright lines are collisions." if trial.collisions else ""
-
-
-def _picture(title: str, text: str, png: bytes | None, *, narrow: bool = False) -> str:
-    if png is None:
-        return ""
-    data = base64.b64encode(png).decode()
-    words = f"<p>{text}</p>" if text else ""
-    size = ' class="narrow"' if narrow else ""
-    return f'<section><h2>{title}</h2>{words}<img{size} alt="{html.escape(title)}" src="data:image/png;base64,{data}"></section>'
 
 
 def _footer(f: dict[str, Any]) -> str:

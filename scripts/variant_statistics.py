@@ -130,7 +130,7 @@ def _bootstrap(d: np.ndarray, rng: np.random.Generator) -> tuple[float, float]:
 
 def _sign_flips(d: np.ndarray, rng: np.random.Generator) -> float:
     """Chance that signs at random make a mean as far from zero; exact where all of them can be tried."""
-    if not d.any():
+    if len(d) < 2 or not d.any():  # of one pair either sign is as far
         return 1.0
     found = stats.permutation_test(
         (d,), np.mean, permutation_type="samples", vectorized=True, n_resamples=RESAMPLES, alternative="two-sided", rng=rng

@@ -83,6 +83,8 @@ def test_missing_figures_are_left_out_and_alike_ones_have_no_interval():
     assert np.isnan(found.low) and np.isnan(found.effect) and found.seeds_needed is None
     none = statistics.paired_difference([None], [1.0], rng=rng())
     assert none.pairs == 0 and none.p == 1.0
+    single = statistics.paired_difference([1.0], [3.0], rng=rng())
+    assert (single.pairs, single.mean, single.p, single.seeds_needed) == (1, 2.0, 1.0, None)
     with pytest.raises(ConfigError, match="2 and 1 trials make no pairs"):
         statistics.paired_difference([1.0, 2.0], [1.0], rng=rng())
 

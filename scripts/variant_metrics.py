@@ -1,0 +1,115 @@
+"""The figures by which planner variants are compared: what each is called, how it is read from a trial's row, which way is better.
+
+A row is a trial's `trial.json` with `delay_s`, `case` and `folder`, as `results.jsonl` of a comparison holds them. A metric's name is the
+path of its figure in the row, `sag_error_m.mean` for instance; `success` alone is made from the outcome.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from variant_grounds import ground_of
+
+from athlete_twin.errors import ConfigError, RecordingError
+
+Row = dict[str, Any]
+
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric:
+    """A figure of a trial."""
+
+    name: str
+    """dotted path in the row"""
+    title: str
+    better: Literal["more", "less"]
+    unit: str = ""
+    """in which people read it; what is counted has none"""
+    scale: float = 1.0
+    """from the row's SI unit to `unit`"""
+    digits: int = 2
+    """behind the point, in `unit`"""
+    reached_only: bool = False
+    """compared only over pairs in which both trials succeeded: it grows with the way walked, and who falls early has little of it"""
+
+    def read(self, row: Row) -> float | None:
+        """Its value in SI units; None where it was not measured."""
+        if self.name == "success":
+            return float(succeeded(row))
+        value: Any = row
+        for key in self.name.split("."):
+            value = value.get(key) if isinstance(value, dict) else None
+        if value is None:
+            return None
+        if not isinstance(value, int | float):
+            raise RecordingError(f"{self.name} of {row['folder']} is {value!r}, must be a number or null")
+        return float(value) if math.isfinite(value) else None
+
+    def shown(self, value: float | None, *, sign: bool = False) -> str:
+        """The value for people, with its unit; a dash where there is none."""
+        if value is None or not math.isfinite(value):
+            return "–"
+        number = self.number(value, sign=sign)
+        return f"{number} {self.unit}" if self.unit else number
+
+    def number(self, value: float, *, sign: bool = False) -> str:
+        """The value for people, without its unit."""
+        text = f"{self.scale * value:{'+' if sign else ''}.{self.digits}f}"
+        if float(text) == 0.0:
+            return text.lstrip("+-")
+        return text.replace("-", "−")  # a minus as wide as the plus
+
+
+METRICS = (
+    Metric(name="success", title="success", better="more", unit="%", scale=100.0, digits=0),
+    Metric(name="progress_m", title="progress", better="more", unit="m"),
+    Metric(name="mission_time_s", title="mission time", better="less", unit="min", scale=1 / 60, digits=1, reached_only=True),
+    Metric(name="command_cycles", title="command cycles", better="less", digits=1, reached_only=True),
+    Metric(name="collisions", title="collisions", better="less", digits=1),
+    Metric(name="faults", title="faults", better="less", digits=1),
+    Metric(name="sag_error_m.mean", title="sag error", better="less", unit="mm", scale=1000.0, digits=1),
+    Metric(name="touchdown_error_m.mean", title="touch-down error", better="less", unit="mm", scale=1000.0, digits=1),
+    Metric(name="map_error_m.median", title="map error", better="less", unit="mm", scale=1000.0, digits=1),
+    Metric(name="localisation_error_m.mean", title="localisation error", better="less", unit="mm", scale=1000.0, digits=1),
+    Metric(name="peak_torque_fraction", title="peak torque", better="less", unit="%", scale=100.0, digits=1),
+    Metric(name="min_support_margin_m", title="least support margin", better="more", unit="m"),
+    Metric(name="min_cps_margin_m", title="least CPS margin", better="more", unit="m"),
+    Metric(name="min_tip_over_energy_m", title="least tip-over energy", better="more", unit="m", digits=3),
+    Metric(name="stage_times_s.plan.median", title="planning time (median)", better="less", unit="s"),
+    Metric(name="stage_times_s.plan.p95", title="planning time (95 %)", better="less", unit="s"),
+    Metric(name="wall_time_s", title="computing time", better="less", unit="min", scale=1 / 60, digits=1, reached_only=True),
+)
+"""what is compared unless told otherwise, the most important first"""
+BY_NAME = {m.name: m for m in METRICS}
+SUCCESS = BY_NAME["success"]
+
+
+def succeeded(row: Row) -> bool:
+    """Whether the trial reached its goal, or walked all the gait cycles to which its case caps the way.
+
+    Who ends with `cycles_done` after as many as the scenario allows at all was not capped and did not arrive. A trial that could
+    not be run (outcome `error`) did not succeed: a variant that breaks its program reaches no goal either.
+    """
+    if row["outcome"] != "cycles_done":
+        return bool(row["outcome"] == "goal_reached")
+    walked, allowed = row["gait_cycles"], ground_of(row["scenario"]).cycles
+    return walked is None or allowed is None or walked < allowed
+
+
+def metrics_named(names: Sequence[str] | None) -> tuple[Metric, ...]:
+    """The metrics of these names, each once; all of them for None."""
+    if names is None:
+        return METRICS
+    if not names:
+        raise ConfigError(f"no metric is named; known are {', '.join(BY_NAME)}")
+    for name in names:
+        if name not in BY_NAME:
+            near = difflib.get_close_matches(name, BY_NAME, n=1)
+            meant = f"did you mean {near[0]!r}? " if near else ""
+            raise ConfigError(f"metric {name!r} is unknown; {meant}known are {', '.join(BY_NAME)}")
+    return tuple(BY_NAME[name] for name in dict.fromkeys(names))
