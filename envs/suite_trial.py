@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
@@ -31,7 +32,7 @@ from envs.origin import code_sha256, file_hashes
 from envs.provenance import provenance
 from envs.scoring import mean_max
 from envs.suite import OPERATOR, Case
-from envs.trial import SCHEMA_VERSION, TrialResult, write_json
+from envs.trial import SCHEMA_VERSION, TrialResult
 
 ASKED, TRIAL, LOG, RECORDING = "asked.json", "trial.json", "log.txt", "trial.mcap"
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
@@ -67,8 +68,12 @@ class Asked:
         return self.case.id, self.variant
 
     def content(self) -> dict[str, Any]:
-        """As it stands in `asked.json`."""
+        """As plain values."""
         return asdict(self)
+
+    def text(self) -> str:
+        """Text of `asked.json`."""
+        return json.dumps(self.content(), indent=2) + "\n"
 
 
 def asked_of(content: dict[str, Any]) -> Asked:
@@ -78,16 +83,22 @@ def asked_of(content: dict[str, Any]) -> Asked:
 
 @cache
 def this_code() -> str:
-    """Hash over the sources, the robots' files, the interpreter's and the libraries' versions: what else moves a trajectory."""
+    """Hash over commit, sources, the robots' files, the interpreter's and the libraries' versions: what else moves a trajectory."""
     now = provenance()
     files = {name: file_hashes(name, None) for name in robot_names()}
-    content = {"code": code_sha256(), "files": files} | {k: now[k] for k in ("version", "python", "packages")}
+    content = {"code": code_sha256(), "files": files} | {k: now[k] for k in ("version", "git_sha", "python", "packages")}
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
-def run_in_folder(asked: Asked, folder: Path) -> subprocess.Popen[bytes]:
-    """Starts the trial's process; what it prints goes to `log.txt`. It lives no longer than its standard input."""
-    write_json(folder / ASKED, asked.content())
+def run_in_folder(asked: Asked, folder: Path, *, inherited: Sequence[int] = ()) -> subprocess.Popen[bytes]:
+    """Starts the trial's process; what it prints goes to `log.txt`. It lives no longer than its standard input.
+
+    Args:
+        asked: the trial.
+        folder: where its files go.
+        inherited: open files that the process holds as long as it lives.
+    """
+    (folder / ASKED).write_text(asked.text())
     # It finds the modules that this process finds, those of a user's planner among them.
     paths = [str(Path(__file__).resolve().parent.parent), *(p for p in sys.path if p)]
     environment = os.environ | dict.fromkeys(THREADS, "1") | {"PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
@@ -96,6 +107,7 @@ def run_in_folder(asked: Asked, folder: Path) -> subprocess.Popen[bytes]:
         return subprocess.Popen(
             [sys.executable, "-X", "faulthandler", "-m", "envs.suite_trial", str(folder)],
             stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT, env=environment, start_new_session=True,
+            pass_fds=tuple(inherited),
         )  # fmt: skip
 
 
@@ -133,7 +145,8 @@ def reason_of(status: int, log: Path) -> str:
         name = signal.Signals(-status).name if -status in set(signal.Signals) else f"signal {-status}"
         hint = "; memory may have run out" if name == "SIGKILL" else ""
         return f"its process was ended by {name}{hint}"
-    return said or f"its process ended with status {status} and said nothing"
+    # The class of an error without its module.
+    return re.sub(r"^(\w+\.)+(?=\w+(:|$))", "", said) or f"its process ended with status {status} and said nothing"
 
 
 def main(arguments: list[str]) -> int:
