@@ -30,7 +30,7 @@ from types import MappingProxyType
 from typing import Any
 
 from athlete_twin.assets import named_toml, read_toml, robot_dir
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import ConfigError, LinkError
 from athlete_twin.link import downlink
 from athlete_twin.world.scenario import Scenario, load_scenario
 
@@ -226,7 +226,7 @@ def _suite_from_content(content: dict[str, Any], path: Path) -> Suite:
                 cycles=_value(path, prefix, group, "cycles", int, needed=False),
                 time_limit=_value(path, prefix, group, "time_limit", float, needed=False),
             )
-        except ConfigError as e:
+        except (ConfigError, LinkError) as e:
             raise ConfigError(f"{e}" if str(e).startswith(str(path)) else f"{path}: {prefix[:-1]}: {e}") from e
         cases += part.cases
         scenarios |= part.scenarios
@@ -261,20 +261,20 @@ def _known(path: Path, prefix: str, content: dict[str, Any], keys: Sequence[str]
 
 
 def _value(path: Path, prefix: str, content: dict[str, Any], key: str, kind: type, *, needed: bool = True) -> Any:
-    """A value of a type, an int being a float as well; None where it is not there and need not be."""
+    """A value of a type, a whole number being a float as well; None where it is not there and need not be."""
     value = content.get(key)
     if value is None and not needed:
         return None
     if not _is(value, kind):
         raise ConfigError(f"{path}: {prefix}{key} = {value!r} is not usable; it must be a {_WORDS[kind]}")
-    return value
+    return kind(value)
 
 
 def _list(path: Path, prefix: str, content: dict[str, Any], key: str, kind: type) -> list[Any]:
     value = content.get(key)
     if not isinstance(value, list) or not value or not all(_is(v, kind) for v in value):
         raise ConfigError(f"{path}: {prefix}{key} = {value!r} is not usable; it must be a list with one {_WORDS[kind]} or more")
-    return value
+    return [kind(v) for v in value]
 
 
 def _seeds(path: Path, prefix: str, group: dict[str, Any]) -> Sequence[int]:

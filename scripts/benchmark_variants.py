@@ -61,7 +61,7 @@ class Options:
     films: bool = True
     """film each variant's best, median and worst trial"""
     keep: Literal["all", "filmed", "none"] = "all"
-    """whose recordings (trial.mcap) stay; a trial without one cannot be replayed or filmed"""
+    """whose recordings (trial.mcap) stay, 15 MB a gait cycle of SDM-B; a trial without one cannot be replayed or filmed"""
     retry_errors: bool = False
     """run again what could not be run before"""
     dry_run: bool = False
@@ -90,6 +90,8 @@ def _compare(options: Options) -> None:
     from run_progress import Bar
     from variant_runs import asked_for, run_all
 
+    from envs.suite_trial import RECORDING
+
     suite = chosen_suite(options)
     cases = suite.of_robots(options.robots)
     check_variants(options.variants)
@@ -99,8 +101,12 @@ def _compare(options: Options) -> None:
     if options.dry_run:
         _show_plan(suite, asked, workers=options.workers)
         return
+    # Where none is filmed, no recording is waited for.
+    unwanted = (RECORDING,) if options.keep == "none" and not options.films else ()
     with Bar(Console(stderr=True)) as bar:
-        rows = run_all(asked, options.out, crew=_crew(options), onlooker=bar, retry_errors=options.retry_errors)
+        rows = run_all(
+            asked, options.out, crew=_crew(options), onlooker=bar, retry_errors=options.retry_errors, unwanted=unwanted
+        )
     _after(options, rows)
 
 
@@ -109,7 +115,7 @@ def chosen_suite(options: Options) -> Any:
     from athlete_twin.assets import robot_names
     from envs.suite import load_suite, seeds_of, suite_of
 
-    own = {"scenarios": options.scenarios, "seeds": options.seeds, "delays": options.delays}
+    own: dict[str, object] = {"scenarios": options.scenarios, "seeds": options.seeds, "delays": options.delays}
     own |= {"cycles": options.cycles, "time_limit": options.time_limit}
     given = [f"--{name.replace('_', '-')}" for name, value in own.items() if value not in (None, ())]
     if options.suite is not None:
@@ -164,7 +170,7 @@ def _crew(options: Options) -> Any:
 
 
 def _show_plan(suite: Any, asked: Sequence[Any], *, workers: int | None) -> None:
-    from run_progress import TimeLeft, duration
+    from run_progress import TimeLeft, duration, megabytes
     from trial_crews import local_cores
 
     cases = list(dict.fromkeys(one.case.id for one in asked))
@@ -173,7 +179,7 @@ def _show_plan(suite: Any, asked: Sequence[Any], *, workers: int | None) -> None
     left = TimeLeft(workers=n).left(asked, [])
     lines = [f"suite {suite.name}, sha256 {suite.sha256}", *([suite.description] if suite.description else []), *cases]
     lines.append(f"{len(cases)} cases x {len(variants)} variants ({', '.join(variants)}) = {len(asked)} trials")
-    lines.append(f"roughly {duration(left)} with {n} workers")
+    lines.append(f"roughly {duration(left)} with {n} workers; {sum(map(megabytes, asked)) / 1000:.1f} GB of recordings with --keep all")
     sys.stdout.write("\n".join(lines) + "\n")
 
 

@@ -11,10 +11,13 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from athlete_twin.world.scenario import load_scenario
 from envs.suite_trial import Asked
 
 SECONDS_A_CYCLE = {"sdm_b": 60.0, "t12": 110.0}
 """of wall time on one core of a 2.1 GHz Xeon, for a guess before anything was measured"""
+MEGABYTES_A_CYCLE = 15.0
+"""of recording, with the pictures"""
 METRES_A_CYCLE = 0.6
 """that either robot walks in a cycle of gait, roughly"""
 START = 10.0
@@ -47,12 +50,16 @@ class TimeLeft:
         return max(max(rest, default=0.0), sum(rest) / self.workers)
 
 
-def guess(asked: Asked, *, goal_distance: float = 5.0) -> float:
+def guess(asked: Asked) -> float:
     """How long a trial takes before any was measured, roughly [s]."""
     if asked.body == "mock":
         return START
-    cycles = min(asked.case.cycles, goal_distance / METRES_A_CYCLE)
-    return START + cycles * SECONDS_A_CYCLE.get(asked.case.robot, max(SECONDS_A_CYCLE.values()))
+    return START + _cycles(asked) * SECONDS_A_CYCLE.get(asked.case.robot, max(SECONDS_A_CYCLE.values()))
+
+
+def megabytes(asked: Asked) -> float:
+    """Size of a trial's recording, roughly [MB]."""
+    return 1.0 if asked.body == "mock" else _cycles(asked) * MEGABYTES_A_CYCLE
 
 
 class Bar:
@@ -113,3 +120,7 @@ def duration(seconds: float) -> str:
         return f"{seconds:.0f} s"
     minutes = round(seconds / 60.0)
     return f"{minutes} min" if minutes < 120 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def _cycles(asked: Asked) -> float:
+    return min(asked.case.cycles, load_scenario(asked.case.scenario).goal_distance / METRES_A_CYCLE)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import subprocess
 import time
 from pathlib import Path
@@ -13,6 +14,8 @@ from envs.suite_trial import TRIAL, Asked, remote_trial, run_in_folder
 
 MOMENT = 0.1
 """between two looks at the processes [s]"""
+ANSWER = 5.0
+"""within which a cluster answers [s]"""
 LOOKS = 5
 """after which it is said that nothing ended"""
 
@@ -58,14 +61,12 @@ class RayCrew:
         except ImportError as e:
             raise ConfigError("--ray needs Ray: pip install 'athlete-twin[cluster]', or leave --ray out") from e
         self._ray: Any = ray
+        _check_listens(address)
         here = {"num_cpus": size or local_cores(), "include_dashboard": False} if address == "local" else {}
         try:
             ray.init(address=address, log_to_driver=False, logging_level="error", **here)
         except (ConnectionError, ValueError, RuntimeError) as e:
-            told = " ".join(str(e).split())[:200]
-            raise ConfigError(
-                f"no Ray cluster at {address!r} ({told}); start one with `ray start --head`, or give 'local' to have one started here"
-            ) from e
+            raise ConfigError(_no_cluster(address, str(e))) from e
         self.size = size or max(1, int(ray.cluster_resources().get("CPU", 1)))
         self._run = ray.remote(num_cpus=1, max_retries=0)(remote_trial)
         self._running: dict[Any, tuple[Asked, Path]] = {}
@@ -105,6 +106,23 @@ class RayCrew:
 def local_cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _check_listens(address: str) -> None:
+    """Refuses an address where nobody answers: Ray itself would try for minutes."""
+    host, _, port = address.removeprefix("ray://").rpartition(":")
+    if host and port.isdecimal():
+        try:
+            socket.create_connection((host, int(port)), timeout=ANSWER).close()
+        except (OSError, OverflowError) as e:
+            raise ConfigError(_no_cluster(address, str(e))) from e
+
+
+def _no_cluster(address: str, told: str) -> str:
+    return (
+        f"no Ray cluster at {address!r} ({' '.join(told.split())[:200]}); start one with `ray start --head`, or give 'local' to have "
+        "one started here"
+    )
 
 
 def _close(process: subprocess.Popen[bytes]) -> None:

@@ -20,10 +20,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.metadata import entry_points
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, BinaryIO, Literal, Protocol
 
 from athlete_twin.assets import named_toml
-from athlete_twin.errors import ConfigError
+from athlete_twin.errors import ConfigError, RecordingError
 from envs.suite import Case, Suite
 from envs.suite_trial import ASKED, TRIAL, Asked, row_of, this_code
 from envs.trial import usable_folder
@@ -96,7 +96,15 @@ def variant_sha256(variant: str) -> str | None:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def run_all(asked: Sequence[Asked], out: Path, *, crew: Crew, onlooker: Onlooker, retry_errors: bool = False) -> list[Row]:
+def run_all(
+    asked: Sequence[Asked],
+    out: Path,
+    *,
+    crew: Crew,
+    onlooker: Onlooker,
+    retry_errors: bool = False,
+    unwanted: Sequence[str] = (),
+) -> list[Row]:
     """Runs what has no row yet; the rows of all that was asked, in that order.
 
     Args:
@@ -105,9 +113,11 @@ def run_all(asked: Sequence[Asked], out: Path, *, crew: Crew, onlooker: Onlooker
         crew: who runs them; it is stopped when this returns or raises.
         onlooker: is told how far it is.
         retry_errors: also run again what could not be run before.
+        unwanted: names of files in a trial's folder that are deleted once its row is written.
     """
     try:
         with results_of(out) as results:
+            results.unwanted = unwanted
             results.check(asked)
             if retry_errors:
                 results.forget_errors(asked)
@@ -174,6 +184,8 @@ class Results:
     lock: int
     """open file whose lock this process holds"""
     rows: dict[tuple[str, str], Row]
+    unwanted: Sequence[str] = ()
+    """files of a trial that go when its row is there"""
 
     def folder(self, asked: Asked) -> Path:
         """Where a trial's files are."""
@@ -223,11 +235,11 @@ class Results:
     def add(self, asked: Asked, row: Row) -> Row:
         """The row as it was written; it is on the disk when this returns."""
         row = row | {"folder": f"{TRIALS}/{asked.folder}"}
-        with (self.out / RESULTS).open("ab") as file:
+        with _on_disk(self.out / RESULTS, "ab") as file:
             file.write(_line(row))
-            file.flush()
-            os.fsync(file.fileno())
         self.rows[asked.key] = row
+        for name in self.unwanted:
+            (self.folder(asked) / name).unlink(missing_ok=True)
         return row
 
     def forget_errors(self, asked: Sequence[Asked]) -> None:
@@ -244,10 +256,8 @@ class Results:
 
     def _rewrite(self) -> None:
         part = self.out / f"{RESULTS}.part"
-        with part.open("wb") as file:
+        with _on_disk(part, "wb") as file:
             file.writelines(_line(row) for row in self.rows.values())
-            file.flush()
-            os.fsync(file.fileno())
         part.replace(self.out / RESULTS)
 
 
@@ -264,6 +274,18 @@ def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -
             onlooker.row(asked, results.add(asked, row_of(asked, results.folder(asked), status=status)))
         if not ended:
             onlooker.waits()
+
+
+@contextmanager
+def _on_disk(path: Path, mode: Literal["ab", "wb"]) -> Iterator[BinaryIO]:
+    """A file to write whose content is on the disk in the end."""
+    try:
+        with path.open(mode) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as e:
+        raise RecordingError(f"{path} cannot be written: {e.strerror}; make room, the same command then goes on from there") from e
 
 
 def _line(row: Row) -> bytes:
