@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from athlete_twin.assets import named_toml
@@ -137,6 +137,7 @@ def test_all_of_a_field_comes_before_the_next_field():
     assert {(c.cycles, c.time_limit) for c in made.cases} == {(scenario.cycles, scenario.time_limit)}
 
 
+@settings(max_examples=15)
 @given(st.lists(st.integers(0, 99_999), min_size=1, max_size=8))
 def test_seeds_are_read_back(seeds):
     assert list(seeds_of(", ".join(map(str, seeds)))) == seeds
