@@ -234,9 +234,10 @@ class Results:
 
     def add(self, asked: Asked, row: Row) -> Row:
         """The row as it was written; it is on the disk when this returns."""
-        row = row | {"folder": f"{TRIALS}/{asked.folder}"}
+        line = _line(row | {"folder": f"{TRIALS}/{asked.folder}"})
         with _on_disk(self.out / RESULTS, "ab") as file:
-            file.write(_line(row))
+            file.write(line)
+        row = json.loads(line)
         self.rows[asked.key] = row
         for name in self.unwanted:
             (self.folder(asked) / name).unlink(missing_ok=True)

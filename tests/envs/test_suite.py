@@ -207,7 +207,7 @@ def test_a_suites_file_is_read_strictly(tmp_path, old, new, message):
 
 
 def test_unknown_suites_and_robots_are_refused():
-    with pytest.raises(ConfigError, match="suite 'tiny' is not known; known: full, small, or a path ending in .toml"):
+    with pytest.raises(ConfigError, match=r"suite 'tiny' is not known; known: full, small, or a path ending in \.toml"):
         load_suite("tiny")
     with pytest.raises(ConfigError, match="suite small has no cases for robot 't11'; did you mean 't12'"):
         load_suite("small").of_robots(["t11"])
