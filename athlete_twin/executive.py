@@ -44,6 +44,8 @@ SETTLING_TIME = 1.0
 IMAGING_TIME = 0.5
 """the robot stands still that long for a set of pictures [s]"""
 QUEUE_LIMIT = 8
+LEG_PHASES = {"break_contact": "lift_off", "contact": "descent", "place": "descent", "none": "swing"}
+"""what a straight move of a wheel is while it lasts, by its guard"""
 LARGEST_SEQ_STEP = 1000
 """from one sequence to the next: more than a link loses, and one wild number does not shut the robot to all later ones"""
 
@@ -227,7 +229,7 @@ class Executive:
             self.phases[command.leg] = "swing"
             return joint_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
         if isinstance(command, LegMove):
-            self.phases[command.leg] = {"break_contact": "lift_off", "contact": "descent", "none": "swing"}[command.guard]
+            self.phases[command.leg] = LEG_PHASES[command.guard]
             return leg_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
         if isinstance(command, BodyMove):
             return body_move(self.kin, command, self.setpoint, CONTROL_PERIOD)
@@ -236,7 +238,7 @@ class Executive:
         raise MoveFailedError("bad_command", f"{type(command).__name__} is no motion")
 
     def _end(self, command: Command) -> None:
-        if isinstance(command, LegMove) and command.guard == "contact":
+        if isinstance(command, LegMove) and command.lands:
             self.phases[command.leg] = "stance"
         elif isinstance(command, LegMove | JointMove):
             self.phases[command.leg] = "swing"

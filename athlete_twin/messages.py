@@ -15,7 +15,8 @@ Commands of the on-board executive. The public RAPID set has no limb commands, s
 
 - `JointMove`: one leg along way-points in joint space. Free motion: the wheel must touch nothing.
 - `LegMove`: one wheel along a straight line in hex, with a guard: `break_contact` (lift-off), `contact` (guarded
-  descent: stop when the wheel carries the given load), `none`.
+  descent: stop when the wheel carries the given load), `place` (down to the end of the line, whatever the wheel feels;
+  it stands from then on), `none`.
 - `BodyMove`: the chassis along a straight line while all wheels stay where they are.
 - `Drive`: on the wheels along a straight line.
 - `ImageRequest`: stereo pairs of the named cameras.
@@ -37,7 +38,7 @@ from athlete_twin.geometry.arrays import Joints, RawImage, Vec3
 
 FARTHEST = 1e3
 """that a command may name: what is farther is a mistake, and squares of it would overflow [m]"""
-GUARDS = ("none", "break_contact", "contact")
+GUARDS = ("none", "break_contact", "contact", "place")
 CORNER_TOLERANCE, MOST_CORNER_TOLERANCE = 0.01, 0.1
 """by which a joint move cuts its corners unless it says otherwise, and at most [rad]"""
 LEAST_SPEED_SCALE = 1e-3
@@ -97,7 +98,7 @@ class LegMove(_ComparedByContent):
     wheel_in_hex: Vec3
     """where the axle shall arrive [m]"""
     guard: str = "none"
-    """"none", "break_contact" or "contact" """
+    """"none", "break_contact", "contact" or "place" """
     contact_load: float = 0.0
     """for guard "contact": the vertical load to stop at [N]"""
     speed_scale: float = 1.0
@@ -114,6 +115,11 @@ class LegMove(_ComparedByContent):
             raise CommandError(f"guard 'contact' needs a positive contact_load, got {self.contact_load} N")
         _check_speed_scale(self.speed_scale)
         object.__setattr__(self, "wheel_in_hex", target)
+
+    @property
+    def lands(self) -> bool:
+        """Whether it is a descent, after which the wheel is taken to stand."""
+        return self.guard in ("contact", "place")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

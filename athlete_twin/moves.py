@@ -150,7 +150,7 @@ def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Ste
         way = LegWay.of(kin, command, start)
     length = way.length
     loaded = command.guard != "none"
-    speed = (DESCENT_SPEED if command.guard == "contact" else WHEEL_SPEED) * command.speed_scale
+    speed = (DESCENT_SPEED if command.lands else WHEEL_SPEED) * command.speed_scale
     fraction, q = 0.0, start.copy()
     sensed = yield q
     posed = start.copy()
@@ -165,7 +165,7 @@ def leg_move(kin: Kinematics, command: LegMove, start: Joints, dt: float) -> Ste
         q = q.copy()
         q[leg] = target
         sensed = yield q
-        if command.guard == "none":
+        if command.guard in ("none", "place"):
             continue
         load = vertical_load(kin, leg, sensed) - tare
         if command.guard == "break_contact":

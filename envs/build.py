@@ -7,19 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from athlete_twin.assets import named_toml, read_toml
+from athlete_twin.assets import robot_names
 from athlete_twin.errors import ConfigError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.mock import MockAthlete
-from athlete_twin.model.spec import RobotSpec
+from athlete_twin.model.spec import RobotSpec, load_spec
 from athlete_twin.robot import SimulatedRobot
 from athlete_twin.world.scenario import Scenario
 from athlete_twin.world.terrain import Terrain, bare_terrain
+from envs.variants import OutsidePlanner, TomlVariant, variant_named
 from planner.decisions import GroundAgent, StageTimer, untimed
+
+if TYPE_CHECKING:
+    from planner.config import PlannerConfig
 
 FLAT_CELL = 0.1
 """of the mock's flat ground [m]"""
@@ -67,29 +71,49 @@ def ground_agent(
     timer: StageTimer = untimed,
     on_look: Callable[[Any], None] | None = None,
 ) -> GroundAgent:
-    """The ground with a variant, by its name in the assets or by a path ending in .toml.
+    """The ground with a variant, or a planner from outside, by one of the names that `envs.variants` tells of.
 
-    `on_look` is told of every `planner.eyes.Look` at a picture, for whoever keeps scores.
+    `on_look` is told of every `planner.eyes.Look` at a picture, for whoever keeps scores; a planner from outside that has no
+    `planner.eyes.Eyes` as its `eyes` tells of none.
     """
     from planner.agent import GroundAgent as PlanningAgent
-    from planner.config import planner_config
+    from planner.eyes import Eyes
 
-    path, content = variant_content(variant)
-    try:
-        config = planner_config(content, spec, name=path.stem)
-    except ConfigError as e:
-        raise ConfigError(f"{path}: {e}") from e
-    agent = PlanningAgent(
-        spec, config, goal_in_world=np.array(goal, dtype=float), seed=seed, payload_kg=payload_kg, timer=timer
-    )
-    agent.eyes.on_look = on_look
+    found, goal_in_world = variant_named(variant), np.array(goal, dtype=float)
+    if isinstance(found, OutsidePlanner):
+        agent = found.agent(spec=spec, goal_in_world=goal_in_world, seed=seed, payload_kg=payload_kg, timer=timer)
+    else:
+        config = _config(found, spec)
+        agent = PlanningAgent(spec, config, goal_in_world=goal_in_world, seed=seed, payload_kg=payload_kg, timer=timer)
+    eyes = getattr(agent, "eyes", None)
+    if isinstance(eyes, Eyes):
+        eyes.on_look = on_look
     return agent
 
 
+def check_variant(name: str) -> None:
+    """Refuses a name that means no planner, and a variant that this project's planner would not take for each robot."""
+    found = variant_named(name)
+    if isinstance(found, TomlVariant):
+        for robot in robot_names():
+            _config(found, load_spec(robot))
+
+
 def variant_content(variant: str) -> tuple[Path, dict[str, Any]]:
-    """File and content of a variant."""
-    path = named_toml("variants", variant)
-    return path, read_toml(path)
+    """File and content of a variant, its base laid under it."""
+    found = variant_named(variant)
+    if isinstance(found, OutsidePlanner):
+        raise ConfigError(f"variant {variant!r} is a planner from outside and has no TOML file; a variant's name would have worked")
+    return found.path, found.content
+
+
+def _config(variant: TomlVariant, spec: RobotSpec) -> PlannerConfig:
+    from planner.config import planner_config
+
+    try:
+        return planner_config(variant.content, spec, name=variant.path.stem)
+    except ConfigError as e:
+        raise ConfigError(f"{variant.path}: {e}") from e
 
 
 def check_payload(spec: RobotSpec, payload_kg: float) -> None:

@@ -16,10 +16,11 @@ from athlete_twin.link import LinkConfig
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.world.scenario import Scenario
 from envs.action_fields import Action, flags, one_of, units
-from envs.build import ground_agent, variant_content
+from envs.build import ground_agent
 from envs.env import Body, MissionEnv
 from envs.rewards import RewardConfig
 from envs.spaces import FAR, NEVER, Observation, bounded
+from envs.variants import variant_named
 from planner.decisions import DECISIONS, Decision, DecisionKind, GroundAgent, Proposal
 from planner.preview.preview import FAULTS
 
@@ -96,7 +97,7 @@ class OperatorEnv(MissionEnv):
             robot: name of the drawings.
             body: "twin", or "mock" for no physics on flat ground.
             scenario: name, path ending in .toml, or a scenario itself.
-            variant: of the planner, name or path ending in .toml.
+            variant: of the planner, one of the names that `envs.variants` tells of.
             link: one-way delay [s] on default links, or the up and down configuration; 5 s by default.
             cameras: that the operator may choose; all by default.
             step_s: longest step, mission time [s].
@@ -117,7 +118,7 @@ class OperatorEnv(MissionEnv):
             rewards=rewards or RewardConfig(),
         )
         if make_agent is None:
-            variant_content(variant)
+            variant_named(variant)
         self._variant = variant
         self._make_agent = make_agent
         self.action_space = decision_space(len(self.cameras))

@@ -1,7 +1,8 @@
 """All that is needed to run a recorded trial again, as the text entries of its file's metadata.
 
-The setup in numbers; scenario and variant as the whole text of their files, so that changing those later changes nothing; of the
-files that cannot go along (drawings, truth, meshes, a measured map) the hash; and the versions of all that moves a trajectory.
+The setup in numbers; scenario and variant as the whole text of their files (a variant's with its base laid under it), so that
+changing those later changes nothing; of what cannot go along (drawings, truth, meshes, a measured map, a planner from outside the
+project) the name and hash; and the versions of all that moves a trajectory.
 """
 
 from __future__ import annotations
@@ -15,11 +16,12 @@ from pathlib import Path
 from typing import Any
 
 from athlete_twin import assets
-from athlete_twin.errors import AthleteError, RecordingError
+from athlete_twin.errors import AthleteError, ConfigError, RecordingError
 from athlete_twin.link import LinkConfig
 from envs.provenance import provenance
 from envs.recording import recorded_metadata
 from envs.trial import TrialSetup
+from envs.variants import OutsidePlanner, TomlVariant, variant_named
 
 FORMAT = "2"
 """of these entries and of the topics; 1 had no origin"""
@@ -39,13 +41,19 @@ class Origin:
     scenario_path: str
     """where it was: relative names in it are relative to there"""
     variant_toml: str
+    """empty of a planner from outside"""
     variant_path: str
+    """empty of a planner from outside"""
     files: Mapping[str, str]
     """sha256 of each file the trial reads besides, by its path below the assets"""
     code: str
     """sha256 over the sources of this project"""
     versions: Mapping[str, Any]
     """as in `trial.json`: package, commit, interpreter, machine, libraries"""
+    planner: str = ""
+    """a planner from outside, as it was named: its module must be there to be run again; empty where a variant has a file"""
+    planner_sha256: str = ""
+    """of its source; empty where that lay in no file"""
 
     def __post_init__(self) -> None:
         if self.body not in BODIES:
@@ -66,17 +74,21 @@ class Origin:
             "code": self.code,
             "versions": json.dumps(dict(self.versions)),
         }
+        if self.planner:
+            entries |= {"planner": self.planner, "planner_sha256": self.planner_sha256}
         return entries | {"sha256": _entries_sha256(entries)}
 
 
-def origin_of(setup: TrialSetup, *, body: str, scenario: Path, variant: Path, map_file: Path | None) -> Origin:
+def origin_of(
+    setup: TrialSetup, *, body: str, scenario: Path, variant: TomlVariant | OutsidePlanner, map_file: Path | None
+) -> Origin:
     """Where a trial that is about to run comes from.
 
     Args:
         setup: of the trial.
         body: "twin" or "mock".
         scenario: its file.
-        variant: its file.
+        variant: what its name means.
         map_file: measured height map that the scenario names, if any.
     """
     return Origin(
@@ -84,8 +96,10 @@ def origin_of(setup: TrialSetup, *, body: str, scenario: Path, variant: Path, ma
         body=body,
         scenario_toml=scenario.read_text(),
         scenario_path=str(scenario),
-        variant_toml=variant.read_text(),
-        variant_path=str(variant),
+        variant_toml="" if isinstance(variant, OutsidePlanner) else variant.text,
+        variant_path="" if isinstance(variant, OutsidePlanner) else str(variant.path),
+        planner=variant.reference if isinstance(variant, OutsidePlanner) else "",
+        planner_sha256=variant.sha256 if isinstance(variant, OutsidePlanner) else "",
         files=file_hashes(setup.robot, map_file),
         code=code_sha256(),
         versions=provenance(),
@@ -105,6 +119,8 @@ def recorded_origin(path: Path) -> Origin:
             setup=_setup(json.loads(entries["setup"])),
             files=json.loads(entries["files"]),
             versions=json.loads(entries["versions"]),
+            planner=entries.get("planner", ""),
+            planner_sha256=entries.get("planner_sha256", ""),
             **{k: entries[k] for k in ("body", "scenario_toml", "scenario_path", "variant_toml", "variant_path", "code")},
         )
     except (KeyError, TypeError, ValueError, AthleteError) as e:
@@ -130,9 +146,24 @@ def changed_since(origin: Origin, *, map_file: Path | None) -> tuple[list[str], 
         if origin.files.get(name) != here.get(name):
             what = "is gone" if name not in here else "is new" if name not in origin.files else "has changed"
             firm.append(f"{name} {what}")
+    if origin.planner:
+        firm += _planner_changed(origin)
     loose = ["the code has changed"] if origin.code != code_sha256() else []
     loose += [f"{name} was {then.get(name)}, is {now[name]}" for name in ("platform", "cpu") if then.get(name) != now[name]]
     return firm, loose
+
+
+def _planner_changed(origin: Origin) -> list[str]:
+    """What is not as it was with a planner from outside: that its module has gone, or has other contents."""
+    try:
+        variant = variant_named(origin.planner)
+    except ConfigError as e:
+        return [str(e)]
+    if not isinstance(variant, OutsidePlanner):
+        return [f"planner {origin.planner} was a planner from outside, is {variant.path}"]
+    if variant.sha256 != origin.planner_sha256:
+        return [f"planner {origin.planner}: its source has changed"]
+    return []
 
 
 def file_hashes(robot: str, map_file: Path | None) -> dict[str, str]:

@@ -18,6 +18,7 @@ from envs.mask_score import MaskScore
 from envs.origin import BODIES, Origin, origin_of
 from envs.stage_times import StageTimes
 from envs.trial import Trial, TrialSetup, usable_folder
+from envs.variants import TomlVariant, variant_named
 from planner.decisions import Operator
 from planner.eyes import Look
 from planner.operators import scripted_operator
@@ -34,7 +35,7 @@ class Wanted:
     scenario: str
     """name, or a path ending in .toml"""
     variant: str
-    """name, or a path ending in .toml"""
+    """one of the names that `envs.variants` tells of"""
     seed: int
     operator: str
     """name; one that is no script must be handed in"""
@@ -74,12 +75,13 @@ def prepared(wanted: Wanted, out: Path, *, operator: Operator | None = None) -> 
     if wanted.body not in BODIES:
         raise ConfigError(f"body {wanted.body!r} is not one of {', '.join(BODIES)}")
     operator = operator or operator_named(wanted.operator, wanted.seed)
-    variant = named_toml("variants", wanted.variant)
+    variant = variant_named(wanted.variant)
     load_spec(wanted.robot)
     origin = origin_of(
         setup, body=wanted.body, scenario=named_toml("scenarios", wanted.scenario), variant=variant, map_file=scenario.file
     )
-    return _joined(origin, scenario, str(variant), operator, out)
+    named = str(variant.path) if isinstance(variant, TomlVariant) else wanted.variant
+    return _joined(origin, scenario, named, operator, out)
 
 
 def again(origin: Origin, out: Path, *, operator: Operator | None = None) -> Trial:
@@ -92,10 +94,13 @@ def again(origin: Origin, out: Path, *, operator: Operator | None = None) -> Tri
     """
     scenario = scenario_again(origin)
     out = usable_folder(out)
-    variant = out / Path(origin.variant_path).name
-    variant.write_text(origin.variant_toml)
+    variant = origin.planner
+    if not variant:
+        file = out / Path(origin.variant_path).name
+        file.write_text(origin.variant_toml)
+        variant = str(file)
     operator = operator or operator_named(origin.setup.operator, origin.setup.seed)
-    return _joined(origin, scenario, str(variant), operator, out)
+    return _joined(origin, scenario, variant, operator, out)
 
 
 def scenario_again(origin: Origin) -> Scenario:

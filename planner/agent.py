@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Vec2, Vec3
+from athlete_twin.geometry.arrays import PerLeg, Vec2, Vec3
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import (
@@ -37,6 +37,7 @@ from planner.eyes import Eyes, StageTimer, untimed
 from planner.footfall import FootfallMap, score_footfalls, unknown_share
 from planner.gait.aside import AsidePlan, Asides, NoAside, plan_aside
 from planner.gait.lift_and_look import raised_path
+from planner.gait.single_steps import by_lag, lags
 from planner.gait.skeleton import regular_places, reverse_wave, stride
 from planner.gait.step_plan import BodyShift, StepPlan
 from planner.gait.step_search import Ground, StepRequest, on_path, search_step
@@ -242,10 +243,9 @@ class GroundAgent:
         if plan is None:
             return
         command = commands[index]
-        guard = getattr(command, "guard", "none")
-        if guard == "break_contact":
+        if isinstance(command, LegMove) and command.guard == "break_contact":
             self._filter.lift(plan.leg)
-        elif guard == "contact":
+        elif isinstance(command, LegMove) and command.lands:
             self._filter.land(plan.leg)
 
     def _digest(self, sent: Underway) -> None:
@@ -516,12 +516,27 @@ class GroundAgent:
         if self._forced_leg is not None:
             others = [leg for leg in range(LEGS) if leg != self._forced_leg and self._forced_xy is None]
             return [[self._forced_leg], others]
+        if self.config.step.gait.method == "single_steps":
+            lag, order = self._by_lag(belief, heading)
+            behind = [leg for leg in order if lag[leg] >= self.config.step.gait.min_step]
+            # A wheel that is where it would step goes farther only when no other can.
+            return [behind, [leg for leg in order if leg not in behind]]
         heading_in_hex = (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2]
         wave = reverse_wave(self.spec, heading_in_hex / np.linalg.norm(heading_in_hex))
         fewest = min(self.stepped[leg] for leg in range(LEGS))
         due = [leg for leg in wave if self.stepped[leg] == fewest]
         # A leg ahead of its turn may step once, to let the chassis go on; twice would only run away from the others.
         return [due, [leg for leg in wave if self.stepped[leg] == fewest + 1]]
+
+    def _by_lag(self, belief: Belief, heading: Vec2) -> tuple[PerLeg, list[int]]:
+        """How far each wheel is behind [m], and the legs in the order of that: what single steps go by."""
+        chassis = on_path(belief, self._swayed)
+        lag = lags(
+            self.spec, self.config.step.gait, world_from_hex=chassis, contacts_in_world=belief.contacts_in_world, heading=heading,
+            remaining=float(np.linalg.norm(self.goal - chassis.translation[:2])),
+        )  # fmt: skip
+        heading_in_hex = (belief.world_from_hex.rotation.T @ np.append(heading, 0.0))[:2]
+        return lag, by_lag(self.spec, lag, heading_in_hex / np.linalg.norm(heading_in_hex))
 
     def _survey(self, belief: Belief, heading: Vec2, t: float) -> Action:
         self._surveyed = True
@@ -620,19 +635,25 @@ class GroundAgent:
         # From a raised place it is farther: all the way to the ground as the map has it, and then as far again as ever.
         under = belief.world_from_hex.apply(axle) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0])
         height = max(0.0, float(under[2] - ground.filled.sample(under[None, :2])[0]))
-        depth = height + self.config.step.touchdown.search_depth
+        touch = self.config.step.touchdown
+        depth = height + (touch.search_depth if touch.method == "guarded" else plan.reload)
         target = axle + depth * down
         straight = straighten_commands(
             self.kin, plan.leg, belief.motors[plan.leg], down, tolerance=self.config.step.swing.branch_tolerance
         )
-        commands = [*straight, *lower_commands(plan.leg, target, plan.contact_load)]
+        commands = [*straight, *lower_commands(plan, target)]
         contact = belief.world_from_hex.apply(target) - self.spec.wheel.radius * np.array([0.0, 0.0, 1.0])
         lowered = replace(
             plan, lift_in_hex=None, descent_in_hex=target, shift=BodyShift.none(), footfall_in_world=contact,
             preview_joints=belief.joints[None].copy(), preview_world_from_hex=(belief.world_from_hex,),
         )  # fmt: skip
-        text = f"leg {plan.leg + 1} goes further down where it is, at most {100 * depth:.0f} cm"
-        return self._as_proposal(lowered, belief, ground, t, commands=commands, text=text)
+        most = "at most " if touch.method == "guarded" else ""
+        text = f"leg {plan.leg + 1} goes further down where it is, {most}{100 * depth:.0f} cm"
+        proposal = self._as_proposal(lowered, belief, ground, t, commands=commands, text=text)
+        if np.linalg.norm((contact - belief.contacts_in_world[plan.leg])[:2]) < self.config.step.gait.min_step:
+            # Back to where it stood, after a look at what it hid: that is no step, and makes no gait cycle.
+            proposal = self._proposal = replace(proposal, kind="shift")
+        return proposal
 
     def _ground(self, belief: Belief) -> Ground:
         """The terrain for one plan: heights with unknown cells, heights without, and the footfalls on it."""
@@ -727,6 +748,8 @@ class GroundAgent:
 
     def _upcoming(self, belief: Belief, heading: Vec2, leg: int | None) -> list[int]:
         """All legs in the order in which their turns come, once `leg` has stepped."""
+        if self.config.step.gait.method == "single_steps":
+            return sorted(self._by_lag(belief, heading)[1], key=lambda other: other == leg)
         later = Counter(self.stepped)
         if leg is not None:
             later[leg] += 1

@@ -13,9 +13,9 @@ Scripts read the TOML file and hand its content here; the planner opens nothing.
     footfall = "free_volume"        # max_min, plane_fit, support_area, support_energy, free_volume, equilibrium, asv_slope
     leg_planner = "sbl"             # sbl, or one of OMPL's
     smoothing = "dijkstra_bisect"
-    gait = "reverse_wave"
+    gait = "reverse_wave"           # reverse_wave, single_steps (2008: the leg whose wheel is farthest behind, whatever stepped before)
     body_motion = "straight"        # straight, sway (off the path to where the next swing asks least of the joints, footfalls kept)
-    touchdown = "guarded"
+    touchdown = "guarded"           # guarded (until the wheel carries its share), planned (to a height, without feeling the ground)
     unknown_terrain = "refuse"      # refuse, flat (an unknown cell is as high as its neighbours)
     level_deck_deg = 0.5
 
@@ -47,8 +47,8 @@ from planner.gait.aside import AsideConfig
 from planner.gait.body_sway import BodySwayConfig
 from planner.gait.lift_and_look import LookConfig
 from planner.gait.shift import ShiftLimits
-from planner.gait.skeleton import GaitConfig
-from planner.gait.step_search import SearchConfig, StepConfig, TouchdownConfig
+from planner.gait.skeleton import GAITS, GaitConfig
+from planner.gait.step_search import TOUCHDOWNS, SearchConfig, StepConfig, TouchdownConfig
 from planner.gait.survey import SurveyConfig
 from planner.motion.collision import CollisionConfig
 from planner.motion.planners import METHODS as LEG_PLANNERS
@@ -82,9 +82,9 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "footfall": FOOTFALLS,
     "leg_planner": LEG_PLANNERS,
     "smoothing": ("dijkstra_bisect", "least_torque"),
-    "gait": ("reverse_wave",),
+    "gait": GAITS,
     "body_motion": ("straight", "sway"),
-    "touchdown": ("guarded",),
+    "touchdown": TOUCHDOWNS,
     "unknown_terrain": ("refuse", "flat"),
 }
 OPTIONAL: dict[str, tuple[str, ...]] = {"route": ROUTES, "driving": ("off", "on")}

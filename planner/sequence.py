@@ -1,7 +1,7 @@
 """Plans to command sequences: the last thing the ground does before the link.
 
-A step goes up as one sequence, so it costs one command cycle: lift-off, swing, guarded descent, chassis shift, pictures
-for the next step. The executive stops it at the first fault.
+A step goes up as one sequence, so it costs one command cycle: lift-off, swing, descent (guarded or to its planned end), chassis
+shift, pictures for the next step. The executive stops it at the first fault.
 """
 
 from __future__ import annotations
@@ -19,14 +19,12 @@ SMALLEST_SHIFT = 1e-3
 
 
 def step_commands(plan: StepPlan) -> list[Command]:
-    """Lift-off, swing, guarded descent and shift of one step."""
+    """Lift-off, swing, descent and shift of one step."""
     commands: list[Command] = []
     if plan.lift_in_hex is not None:
         commands.append(LegMove(leg=plan.leg, wheel_in_hex=plan.lift_in_hex, guard="break_contact"))
     commands.append(JointMove(leg=plan.leg, waypoints=plan.swing, corner_tolerance=plan.swing_corner_tolerance))
-    commands.append(
-        LegMove(leg=plan.leg, wheel_in_hex=plan.descent_in_hex, guard="contact", contact_load=plan.contact_load)
-    )
+    commands += lower_commands(plan, plan.descent_in_hex)
     return commands + shift_commands(plan.shift)
 
 
@@ -44,9 +42,9 @@ def shift_commands(shift: BodyShift) -> list[Command]:
     ]
 
 
-def lower_commands(leg: int, axle_in_hex: Vec3, contact_load: float) -> list[Command]:
-    """A guarded descent alone: the ground lay lower than the map said."""
-    return [LegMove(leg=leg, wheel_in_hex=axle_in_hex, guard="contact", contact_load=contact_load)]
+def lower_commands(plan: StepPlan, axle_in_hex: Vec3) -> list[Command]:
+    """The descent of a step alone, at most to `axle_in_hex` [m]: the ground may lie lower than the map said."""
+    return [LegMove(leg=plan.leg, wheel_in_hex=axle_in_hex, guard=plan.descent_guard, contact_load=plan.contact_load)]
 
 
 def straighten_commands(

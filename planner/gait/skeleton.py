@@ -18,7 +18,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import stance_wheels_in_hex
 
-GAITS = ("reverse_wave",)
+GAITS = ("reverse_wave", "single_steps")
 ON_AXIS = 1e-3
 """a hip this close to the line of travel counts as left, robot facts 12a [m]"""
 

@@ -54,6 +54,10 @@ class StepPlan:
     """that the executive takes for them, from rest to rest [s]"""
     descent_in_hex: Vec3
     """lowest axle position the guarded descent may go to [m]"""
+    descent_guard: str
+    """"contact": the descent ends where the wheel carries its load; "place": it ends at `descent_in_hex"""
+    reload: float
+    """how far past its first touch the wheel has to go down until it carries its share, as the sag method says [m]"""
     contact_load: float
     """vertical load at which the descent ends [N]"""
     shift: BodyShift

@@ -39,6 +39,7 @@ from planner.stability.stability_map import REASONS, StabilityConfig, stability_
 from planner.stability.stance_torque import peak_torques
 
 UP = np.array([0.0, 0.0, 1.0])
+TOUCHDOWNS = ("guarded", "planned")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +83,9 @@ class TouchdownConfig:
     """Lifting off and coming down."""
 
     method: str = "guarded"
-    """"guarded": down until the wheel carries its share; it feels the ground by the leg's torques"""
+    """"guarded": down until the wheel carries its share; it feels the ground by the leg's torques. "planned": down to where the
+    sag method says that it carries its share, felt or not: open loop, as the robots were commanded until 2010
+    ([SunSpiral2012] s5.1.4; s7.1 wants motions that end at a contact force for the future)"""
     lift_clearance: float = 0.5
     """of the wheel above its old place before it swings, over its radius: covers what the springs do not know of sag"""
     approach_clearance: float = 0.4
@@ -93,8 +96,8 @@ class TouchdownConfig:
     """of the load the springs promise the wheel, at which the descent ends"""
 
     def __post_init__(self) -> None:
-        if self.method != "guarded":
-            raise ConfigError(f"touchdown {self.method!r} is not one of guarded")
+        if self.method not in TOUCHDOWNS:
+            raise ConfigError(f"touchdown {self.method!r} is not one of {', '.join(TOUCHDOWNS)}")
         if not 0.1 <= self.load_fraction <= 1.0:
             raise ConfigError(f"load_fraction is {self.load_fraction}, must be within 0.1 to 1")
 
@@ -201,7 +204,7 @@ def search_step(
         footfalls_in_world=places,
         world_from_hex=swing_pose,
         config=config.stability,
-        lift=config.touchdown.approach_clearance * kin.spec.wheel.radius,
+        lift=config.touchdown.approach_clearance * kin.spec.wheel.radius + sag.terrain_raise,
         payload_kg=payload_kg,
         world_from_leg=leg_pose,
     )
@@ -404,9 +407,12 @@ def _try(
     spec, leg, touch = kin.spec, request.leg, config.touchdown
     hex_from_world = leg_pose.inverse()
     axle = place + spec.wheel.radius * UP
-    above, down = hex_from_world.apply(axle + touch.approach_clearance * spec.wheel.radius * UP), hex_from_world.rotate(-UP)
-    depth = sag.reload + touch.search_depth
-    ends = np.array([above, hex_from_world.apply(axle), hex_from_world.apply(axle - depth * UP)])
+    # On a lifted map the way through the air ends on the ground as lifted: what is left is for the chassis to come back up.
+    approach = touch.approach_clearance * spec.wheel.radius + sag.terrain_raise
+    above, down = hex_from_world.apply(axle + approach * UP), hex_from_world.rotate(-UP)
+    depth = sag.reload + (touch.search_depth if touch.method == "guarded" else 0.0)
+    mapped = hex_from_world.apply(axle + sag.terrain_raise * UP)
+    ends = np.array([above, mapped, hex_from_world.apply(axle - depth * UP)])
     q, ok = leg_ik(spec, leg, ends, last_link_in_hex=down)
     # With its load back on the wheel the chassis is back up, and the leg's deck no longer twisted.
     hex_from_landed = belief.world_from_hex.inverse()
@@ -469,6 +475,8 @@ def _try(
         swing_corner_tolerance=tolerance,
         swing_time=leg_timing(spec, np.concatenate([q_lift[None], waypoints]), corner_tolerance=tolerance).duration,
         descent_in_hex=ends[2],
+        descent_guard="contact" if touch.method == "guarded" else "place",
+        reload=sag.reload,
         contact_load=touch.load_fraction * share,
         shift=shift,
         world_from_hex_swing=swing_pose,

@@ -169,7 +169,7 @@ class _Foresight:
         command = way.command
         if isinstance(command, Drive):
             return self._roll(index, way, command)
-        if isinstance(command, LegMove) and command.guard == "contact" and not self.stance.stands[command.leg]:
+        if isinstance(command, LegMove) and command.lands and not self.stance.stands[command.leg]:
             return self._descend(index, way, command)
         if isinstance(command, JointMove) and self._presses(index, way, command):
             return False
@@ -213,7 +213,7 @@ class _Foresight:
         return np.asarray((axles - axles[0]) @ up)
 
     def _descend(self, index: int, way: Stretch, command: LegMove) -> bool:
-        """Down until the wheel carries what the command asks for."""
+        """Down until the wheel carries what the command asks for, or to the end of a way that asks for nothing."""
         leg = command.leg
         free = self.stance.at(way.motors[0])
         axles = self._axles_on(way, free, leg)
@@ -222,7 +222,9 @@ class _Foresight:
         below = np.flatnonzero(bottom <= ground)
         if len(below) == 0:
             moments = [self.stance.at(way.motors[0])] * len(way.times)
-            self._take(index, way, way.times, way.motors, moments)
+            goes_on = self._take(index, way, way.times, way.motors, moments)
+            if command.guard == "place":  # the robot goes on, this wheel in the air
+                return goes_on
             over = float((bottom - ground).min())
             self._fault("no_contact", index, self.t, leg, f"leg {leg + 1} ends {100 * over:.0f} cm above the believed ground")
             return False
@@ -233,14 +235,17 @@ class _Foresight:
             touch = k - 1 + above / max(above + under, 1e-12)
         at_touch = way.cut(touch)
         self.stance.lands(leg, self._axles_on(at_touch, free, leg)[-1], float(np.interp(touch, np.arange(len(ground)), ground)))
-        end, loaded = self._carries(way, touch, leg, command.contact_load)
+        if command.guard == "place":
+            end, loaded = float(len(way.times) - 1), self.stance.at(way.motors[-1])
+        else:
+            end, loaded = self._carries(way, touch, leg, command.contact_load)
         cut = way.cut(end)
         moments = [
             _mixed(free, loaded, float(np.clip((min(k, end) - touch) / max(end - touch, 1e-9), 0.0, 1.0)))
             for k in range(len(cut.times))
         ]
         ok = self._take(index, cut, cut.times, cut.motors, moments)
-        if loaded.status == "converged" and loaded.loads[leg] < 0.5 * command.contact_load:
+        if command.guard == "contact" and loaded.status == "converged" and loaded.loads[leg] < 0.5 * command.contact_load:
             text = f"leg {leg + 1} carries {loaded.loads[leg]:.0f} of {command.contact_load:.0f} N at the end of its way"
             self._fault("no_contact", index, self.t, leg, text)
             return False

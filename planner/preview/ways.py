@@ -117,7 +117,7 @@ def _straight_leg(kin: Kinematics, command: LegMove, motors: Joints) -> Stretch:
     fractions = np.linspace(0.0, 1.0, 1 + _pieces(way.length, STRAIGHT_SPACING))
     out = np.repeat(motors[None], len(fractions), axis=0)
     out[:, command.leg] = [way.at(float(f)) for f in fractions]
-    speed = (DESCENT_SPEED if command.guard == "contact" else WHEEL_SPEED) * command.speed_scale
+    speed = (DESCENT_SPEED if command.lands else WHEEL_SPEED) * command.speed_scale
     spans = fractions * way.length / speed
     free, loaded = (_paced(spans, out, r * command.speed_scale) for r in (kin.spec.speed_unloaded, kin.spec.speed_loaded))
     posed = _posed(out[0], motors, kin.spec.speed_loaded * command.speed_scale)

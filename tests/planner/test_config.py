@@ -1,13 +1,11 @@
 """Variants become configurations, and what is wrong in one is named with what would have worked."""
 
-import tomllib
-from pathlib import Path
-
 import pytest
 
 from athlete_twin.assets import assets_root
 from athlete_twin.errors import ConfigError
 from athlete_twin.model.spec import load_spec
+from envs.build import variant_content
 from planner.config import CHOICES, planner_config
 from planner.footfall_scores import TYPICAL
 from planner.gait.step_search import SearchConfig
@@ -16,7 +14,7 @@ SHIPPED = sorted(p.stem for p in (assets_root() / "variants").glob("*.toml"))
 
 
 def content(name: str) -> dict:
-    return tomllib.loads((Path(assets_root()) / "variants" / f"{name}.toml").read_text())
+    return variant_content(name)[1]
 
 
 @pytest.mark.parametrize("robot", ["sdm_b", "t12"])
