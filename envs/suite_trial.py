@@ -50,8 +50,8 @@ class Asked:
     suite_sha256: str
     code_sha256: str
     """of `this_code`"""
-    variant_sha256: str | None
-    """of the variant's file; None where it has none"""
+    variant_sha256: str
+    """of what the variant is; empty where it lies in no file"""
 
     @property
     def folder(self) -> str:

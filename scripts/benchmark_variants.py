@@ -132,17 +132,13 @@ def chosen_suite(options: Options) -> Any:
 
 def check_variants(variants: Sequence[str]) -> None:
     """Refuses what is no variant, or stands there twice."""
-    from athlete_twin.assets import named_toml
-    from envs import build
+    from envs.build import check_variant
 
     twice = [name for name, n in Counter(variants).items() if n > 1]
     if twice:
         raise ConfigError(f"variant {', '.join(twice)} is there twice; name each once")
     for variant in variants:
-        if hasattr(build, "check_variant"):
-            build.check_variant(variant)
-        else:
-            named_toml("variants", variant)
+        check_variant(variant)
 
 
 def check_workers(workers: int | None, *, cluster: bool) -> None:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import fcntl
 import hashlib
-import importlib.util
 import json
 import os
 import shutil
@@ -18,22 +17,19 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, Protocol
 
-from athlete_twin.assets import named_toml
 from athlete_twin.errors import ConfigError, RecordingError
 from envs.suite import Case, Suite
 from envs.suite_trial import ASKED, TRIAL, Asked, row_of, this_code
 from envs.trial import usable_folder
+from envs.variants import OutsidePlanner, variant_named
 
 Row = dict[str, Any]
 RESULTS, TRIALS, LOCK = "results.jsonl", "trials", ".lock"
 PATIENCE = 5.0
 """for which a lock is awaited: the trials of a runner that was killed end a moment after it [s]"""
-PLANNERS = "athlete_twin.planners"
-"""group of entry points that name planners"""
 
 
 class Crew(Protocol):
@@ -79,21 +75,12 @@ def asked_for(suite: Suite, cases: Sequence[Case], variants: Sequence[str], *, b
     ]
 
 
-def variant_sha256(variant: str) -> str | None:
-    """Hash of the file that a variant is: of its TOML, or of the module of a planner; None where there is no such file."""
-    try:
-        path = named_toml("variants", variant)
-    except ConfigError:
-        found = next(iter(entry_points(group=PLANNERS, name=variant)), None)
-        module = (found.value if found else variant).partition(":")[0]
-        try:
-            spec = importlib.util.find_spec(module)
-        except (ImportError, ValueError):
-            return None
-        if spec is None or spec.origin is None or not Path(spec.origin).is_file():
-            return None
-        path = Path(spec.origin)
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def variant_sha256(variant: str) -> str:
+    """Hash of what a variant is: its content with its base's, or a planner's source; empty where that lies in no file."""
+    found = variant_named(variant)
+    if isinstance(found, OutsidePlanner):
+        return found.sha256
+    return hashlib.sha256(json.dumps(found.content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def run_all(
