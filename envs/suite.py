@@ -11,7 +11,7 @@ what it was when the suite was frozen: a suite whose scenarios were changed sinc
     scenario = "suite_k010"
     seeds = "50:63"            # as in Python: 50 to 62; or "50, 57", or [50, 57]
     delays = [5.0]             # one way [s]
-    cycles = 2                 # optional, as time_limit: the scenario's own when not given
+    cycles = 1                 # optional, as time_limit: the scenario's own when not given
 
     [frozen]
     suite = "<sha256>"

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import shutil
 import signal
 import sys
 from collections import Counter
@@ -59,9 +60,9 @@ class Options:
     metrics: tuple[str, ...] = ()
     """figures that the report compares; its own choice when not given"""
     films: bool = True
-    """film each variant's best, median and worst trial"""
+    """film the best, median and worst trial of each robot with each variant"""
     keep: Literal["all", "filmed", "none"] = "all"
-    """whose recordings (trial.mcap) stay, 15 MB a gait cycle of SDM-B; a trial without one cannot be replayed or filmed"""
+    """whose recordings (trial.mcap) stay, 15 MB a gait cycle of SDM-B and 27 of T12; a trial without one cannot be replayed or filmed"""
     retry_errors: bool = False
     """run again what could not be run before"""
     dry_run: bool = False
@@ -101,8 +102,10 @@ def _compare(options: Options) -> None:
     if options.dry_run:
         _show_plan(suite, asked, workers=options.workers)
         return
-    # Where none is filmed, no recording is waited for.
+    # Where none is filmed, no recording need stay till the end.
     unwanted = (RECORDING,) if options.keep == "none" and not options.films else ()
+    if not unwanted:
+        check_room(asked, options.out)
     with Bar(Console(stderr=True)) as bar:
         rows = run_all(
             asked, options.out, crew=_crew(options), onlooker=bar, retry_errors=options.retry_errors, unwanted=unwanted
@@ -149,6 +152,23 @@ def check_workers(workers: int | None, *, cluster: bool) -> None:
     if workers is not None and (workers < 1 or (workers > most and not cluster)):
         limit = "1 or more" if cluster else f"1 to {most}, as this machine has {most} cores; --ray takes it to others"
         raise ConfigError(f"workers is {workers}, must be {limit}")
+
+
+def check_room(asked: Sequence[Any], out: Path) -> None:
+    """Refuses a disk that the recordings would fill: every trial after that would be one that could not be run."""
+    from run_progress import megabytes
+    from variant_runs import TRIALS
+
+    from envs.suite_trial import TRIAL
+
+    needed = sum(megabytes(one) for one in asked if not (out / TRIALS / one.folder / TRIAL).is_file()) / 1000
+    disk = next(folder for folder in (out, *out.absolute().parents) if folder.exists())
+    free = shutil.disk_usage(disk).free / 1e9
+    if needed > free:
+        raise ConfigError(
+            f"the recordings would take roughly {needed:.0f} GB, and {out} has {free:.0f} GB left; another --out, or without "
+            "recordings by --keep none --no-films"
+        )
 
 
 def _check_metrics(metrics: Sequence[str]) -> None:

@@ -15,7 +15,10 @@ from envs.suite_trial import RECORDING, TRIAL
 
 Row = dict[str, Any]
 SCRIPTS = Path(__file__).resolve().parent
-FILMS = (("trial_film.py", "film.webm"), ("trial_report.py", "report.html"))
+FRAMES = 100
+"""of a film: 20 s of processor time to draw, 8 s to watch"""
+FILMS = (("film.webm", ("trial_film.py", "--most-frames", str(FRAMES))), ("report.html", ("trial_report.py",)))
+"""what is made, and by which script beside this one"""
 
 
 def film(out: Path, rows: Sequence[Row], *, workers: int | None) -> list[Row]:
@@ -26,7 +29,7 @@ def film(out: Path, rows: Sequence[Row], *, workers: int | None) -> list[Row]:
     from trial_crews import local_cores
 
     chosen = telling(rows)
-    todo = [(out / row["folder"], script) for row in chosen for script, made in FILMS if not _is_made(out / row["folder"], made)]
+    todo = [(out / row["folder"], script) for row in chosen for made, script in FILMS if not _is_made(out / row["folder"], made)]
     pool = ThreadPoolExecutor(workers or local_cores())
     try:
         for told in pool.map(_made_by, todo):
@@ -68,11 +71,11 @@ def _is_made(folder: Path, name: str) -> bool:
     return path.is_file() and path.stat().st_mtime >= (folder / TRIAL).stat().st_mtime
 
 
-def _made_by(job: tuple[Path, str]) -> str:
+def _made_by(job: tuple[Path, Sequence[str]]) -> str:
     """What went wrong, as a line; nothing when all went well."""
     folder, script = job
-    done = subprocess.run([sys.executable, str(SCRIPTS / script), str(folder)], capture_output=True, text=True)
+    done = subprocess.run([sys.executable, str(SCRIPTS / script[0]), str(folder), *script[1:]], capture_output=True, text=True)
     if done.returncode == 0:
         return ""
     lines = done.stderr.strip().splitlines()
-    return f"benchmark_variants: {script} {folder}: {lines[-1] if lines else f'exit status {done.returncode}'}\n"
+    return f"benchmark_variants: {script[0]} {folder}: {lines[-1] if lines else f'exit status {done.returncode}'}\n"

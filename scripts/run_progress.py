@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import mean
 from types import TracebackType
 from typing import Any
@@ -14,13 +14,13 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from athlete_twin.world.scenario import load_scenario
 from envs.suite_trial import Asked
 
-SECONDS_A_CYCLE = {"sdm_b": 60.0, "t12": 110.0}
-"""of wall time on one core of a 2.1 GHz Xeon, for a guess before anything was measured"""
-MEGABYTES_A_CYCLE = 15.0
-"""of recording, with the pictures"""
-METRES_A_CYCLE = 0.6
-"""that either robot walks in a cycle of gait, roughly"""
-START = 10.0
+SECONDS_A_CYCLE = {"sdm_b": 40.0, "t12": 60.0}
+"""of processor time in `suite_k015`, for a guess before anything was measured"""
+MEGABYTES_A_CYCLE = {"sdm_b": 15.0, "t12": 27.0}
+"""of recording, in the same trials"""
+METRES_A_CYCLE = {"sdm_b": 0.6, "t12": 1.4}
+"""walked, in the same trials"""
+START = 8.0
 """of a process, its libraries and its first pictures [s]"""
 
 
@@ -54,12 +54,12 @@ def guess(asked: Asked) -> float:
     """How long a trial takes before any was measured, roughly [s]."""
     if asked.body == "mock":
         return START
-    return START + _cycles(asked) * SECONDS_A_CYCLE.get(asked.case.robot, max(SECONDS_A_CYCLE.values()))
+    return START + _cycles(asked) * _of_robot(SECONDS_A_CYCLE, asked)
 
 
 def megabytes(asked: Asked) -> float:
     """Size of a trial's recording, roughly [MB]."""
-    return 1.0 if asked.body == "mock" else _cycles(asked) * MEGABYTES_A_CYCLE
+    return 1.0 if asked.body == "mock" else _cycles(asked) * _of_robot(MEGABYTES_A_CYCLE, asked)
 
 
 class Bar:
@@ -123,4 +123,9 @@ def duration(seconds: float) -> str:
 
 
 def _cycles(asked: Asked) -> float:
-    return min(asked.case.cycles, load_scenario(asked.case.scenario).goal_distance / METRES_A_CYCLE)
+    return min(asked.case.cycles, load_scenario(asked.case.scenario).goal_distance / _of_robot(METRES_A_CYCLE, asked))
+
+
+def _of_robot(figures: Mapping[str, float], asked: Asked) -> float:
+    """A robot's figure; the largest for one of which nothing is known."""
+    return figures.get(asked.case.robot, max(figures.values()))

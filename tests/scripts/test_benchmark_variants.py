@@ -360,6 +360,16 @@ def test_a_dry_run_lists_cases_and_touches_nothing(script, capsys, tmp_path):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_disk_that_recordings_would_fill_is_refused(script, runs, tmp_path, monkeypatch):
+    from shutil import disk_usage
+
+    main, twins = script("benchmark_variants"), [replace(a, body="twin") for a in asked()]
+    script("benchmark_variants").check_room(asked(), tmp_path / "not" / "there" / "yet")
+    monkeypatch.setattr("shutil.disk_usage", lambda path: disk_usage(path)._replace(free=10**7))
+    with pytest.raises(ConfigError, match=r"roughly 0 GB, and .* has 0 GB left; another --out, or without recordings by --keep none"):
+        main.check_room(twins, tmp_path)
+
+
 def compare(out, *options, variants=("blind",), seeds="0:2", limit="60", robots=("sdm_b",)):
     """The runner as a process."""
     return subprocess.Popen(
