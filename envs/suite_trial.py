@@ -99,13 +99,13 @@ def run_in_folder(asked: Asked, folder: Path, *, inherited: Sequence[int] = ()) 
         inherited: open files that the process holds as long as it lives.
     """
     (folder / ASKED).write_text(asked.text())
-    # It finds the modules that this process finds, those of a user's planner among them.
+    # It finds the modules that this process finds, in the same order, those of a user's planner among them.
     paths = [str(Path(__file__).resolve().parent.parent), *(p for p in sys.path if p)]
     environment = os.environ | dict.fromkeys(THREADS, "1") | {"PYTHONPATH": os.pathsep.join(dict.fromkeys(paths))}
     with (folder / LOG).open("wb") as log:
         # A session of its own: Ctrl-C is the runner's to handle.
         return subprocess.Popen(
-            [sys.executable, "-X", "faulthandler", "-m", "envs.suite_trial", str(folder)],
+            [sys.executable, "-P", "-X", "faulthandler", "-m", "envs.suite_trial", str(folder)],
             stdin=subprocess.PIPE, stdout=log, stderr=subprocess.STDOUT, env=environment, start_new_session=True,
             pass_fds=tuple(inherited),
         )  # fmt: skip

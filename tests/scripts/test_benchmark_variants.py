@@ -370,12 +370,12 @@ def test_a_disk_that_recordings_would_fill_is_refused(script, runs, tmp_path, mo
         main.check_room(twins, tmp_path)
 
 
-def compare(out, *options, variants=("blind",), seeds="0:2", limit="60", robots=("sdm_b",)):
+def compare(out, *options, variants=("blind",), seeds="0:2", limit="60", robots=("sdm_b",), cwd=ROOT):
     """The runner as a process."""
     return subprocess.Popen(
-        [sys.executable, "scripts/benchmark_variants.py", "--variants", *variants, "--robots", *robots, "--seeds", seeds,
+        [sys.executable, str(ROOT / "scripts/benchmark_variants.py"), "--variants", *variants, "--robots", *robots, "--seeds", seeds,
          "--time-limit", limit, *MOCK, "--out", str(out), *options],
-        cwd=ROOT, env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        cwd=cwd, env=os.environ | {"PYTHONPATH": str(ROOT)}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
 
 
@@ -474,3 +474,17 @@ def test_a_ray_cluster_gives_the_same_rows_as_processes_do(tmp_path):
     assert comparable(tmp_path / "ray") == comparable(tmp_path / "local")
     recorded = {p.relative_to(tmp_path / "ray") for p in (tmp_path / "ray").glob("trials/*/trial.mcap")}
     assert len(recorded) == 2 and all((tmp_path / "local" / p).stat().st_size > 0 for p in recorded)
+
+
+@pytest.mark.slow
+def test_a_planner_of_ones_own_is_compared_and_noticed_when_it_changes(tmp_path):
+    own = tmp_path / "my_planner.py"
+    example = (ROOT / "docs/outside_planner.md").read_text().partition("```python\n")[2].partition("```")[0]
+    own.write_text(example)
+    run = compare(tmp_path / "out", variants=("blind", "my_planner:Driver"), seeds="0", cwd=tmp_path)
+    assert run.communicate()[1] == "" and run.returncode == 0
+    rows = rows_in(tmp_path / "out")
+    assert [r["variant"] for r in rows] == ["blind", "my_planner:Driver"] and rows[1]["outcome"] != "error", rows[1]["reason"]
+    own.write_text(example + "# changed\n")
+    again = compare(tmp_path / "out", variants=("blind", "my_planner:Driver"), seeds="0", cwd=tmp_path)
+    assert "variant my_planner:Driver has changed since its trials were run" in again.communicate()[1] and again.returncode == 2
