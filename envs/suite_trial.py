@@ -18,6 +18,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, fields
 from functools import cache
@@ -35,6 +36,8 @@ from envs.suite import OPERATOR, Case
 from envs.trial import SCHEMA_VERSION, TrialResult
 
 ASKED, TRIAL, LOG, RECORDING = "asked.json", "trial.json", "log.txt", "trial.mcap"
+LOOK = 0.2
+"""between two looks at the process of a remote trial [s]"""
 THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")
 """variables that say how many threads a library takes: one, as there is a process a core"""
 
@@ -117,9 +120,12 @@ def remote_trial(content: dict[str, Any]) -> tuple[int, dict[str, bytes]]:
         folder = Path(name)
         process = run_in_folder(asked_of(content), folder)
         try:
-            status = process.wait()
+            # A task that is cancelled notices between two looks, not within one wait.
+            while (status := process.poll()) is None:
+                time.sleep(LOOK)
         finally:
             process.kill()
+            process.wait()
         return status, {p.name: p.read_bytes() for p in sorted(folder.iterdir()) if p.is_file()}
 
 

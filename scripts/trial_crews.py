@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import time
@@ -16,6 +17,8 @@ MOMENT = 0.1
 """between two looks at the processes [s]"""
 ANSWER = 5.0
 """within which a cluster answers [s]"""
+FAREWELL = 10.0
+"""within which a task that is cancelled ends [s]"""
 LOOKS = 5
 """after which it is said that nothing ended"""
 
@@ -63,10 +66,13 @@ class RayCrew:
         self._ray: Any = ray
         _check_listens(address)
         here = {"num_cpus": size or local_cores(), "include_dashboard": False} if address == "local" else {}
+        on_term = signal.getsignal(signal.SIGTERM)
         try:
             ray.init(address=address, log_to_driver=False, logging_level="error", **here)
         except (ConnectionError, ValueError, RuntimeError) as e:
             raise ConfigError(_no_cluster(address, str(e))) from e
+        # Ray takes the signal for itself, and would abort.
+        signal.signal(signal.SIGTERM, on_term)
         self.size = size or max(1, int(ray.cluster_resources().get("CPU", 1)))
         self._run = ray.remote(num_cpus=1, max_retries=0)(remote_trial)
         self._running: dict[Any, tuple[Asked, Path]] = {}
@@ -83,7 +89,10 @@ class RayCrew:
     def stop(self) -> None:
         """Give up what runs and leave the cluster."""
         for reference in self._running:
-            self._ray.cancel(reference, force=True)
+            self._ray.cancel(reference)
+        if self._running:
+            # Each then ends its process and clears its folder away.
+            self._ray.wait(list(self._running), num_returns=len(self._running), timeout=FAREWELL)
         self._running.clear()
         self._ray.shutdown()
 

@@ -11,6 +11,7 @@ import random
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from dataclasses import fields, replace
 from pathlib import Path
@@ -433,13 +434,23 @@ def test_two_runs_agree_but_for_timings_and_variants_are_paired(tmp_path):
 
 
 @pytest.mark.slow
-def test_interrupted_it_ends_its_trials_and_goes_on_later(tmp_path):
-    run = compare(tmp_path, limit="6000", seeds="0")
-    awaited(lambda: trials_alive(tmp_path))
-    run.send_signal(signal.SIGINT)
-    told = run.communicate(timeout=20)[1]
+@pytest.mark.parametrize("ask", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("crew", ["processes", "ray"])
+def test_interrupted_it_ends_its_trials_and_leaves_nothing(tmp_path, monkeypatch, crew, ask):
+    if crew == "ray":
+        pytest.importorskip("ray", reason="Ray is not installed")
+    remote = tmp_path / "remote"
+    remote.mkdir()
+    monkeypatch.setenv("TMPDIR", str(remote))  # where a cluster's tasks have their folders
+    monkeypatch.setenv("RAY_TMPDIR", tempfile.gettempdir())  # its sockets need a short path
+    out = tmp_path / "out"
+    run = compare(out, *(("--ray", "local") if crew == "ray" else ()), limit="60000", seeds="0")
+    where = remote / "athlete_trial_" if crew == "ray" else out
+    awaited(lambda: run.poll() is not None or trials_alive(where))
+    run.send_signal(ask)
+    told = run.communicate(timeout=60)[1]
     assert run.returncode == 130 and "interrupted; what is done stays in" in told and told.count("\n") == 1
-    assert not trials_alive(tmp_path) and whole_lines(tmp_path) == []
+    assert not trials_alive(where) and whole_lines(out) == [] and not list(remote.glob("athlete_trial_*"))
 
 
 @pytest.mark.slow
