@@ -84,7 +84,7 @@ def variant_named(name: str) -> TomlVariant | OutsidePlanner:
         return _toml(named_toml("variants", name))
     if ":" in name:
         return _outside(name, name)
-    declared = {entry.name: entry.value for entry in entry_points(group=GROUP)}
+    declared = {entry.name: f"{entry.module}:{entry.attr}" for entry in entry_points(group=GROUP)}
     if name in declared:
         return _outside(name, declared[name])
     close = difflib.get_close_matches(name, (*known, *declared), n=1)

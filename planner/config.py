@@ -1,6 +1,7 @@
 """A variant's content as one nested configuration: a method for each stage, and the methods' own settings.
 
-Scripts read the TOML file and hand its content here; the planner opens nothing. Top-level keys choose methods:
+Scripts read the TOML file, lay the variant that it names as its `base` under it, and hand the whole here; the planner opens
+nothing. Top-level keys choose methods:
 
     self_mask = "combined"          # flatten, kinematic, watershed, combined, none
     fusion = "integrated"           # single_view (the map is the latest set of pictures), lift_and_image (2010: the next

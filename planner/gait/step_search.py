@@ -84,8 +84,8 @@ class TouchdownConfig:
 
     method: str = "guarded"
     """"guarded": down until the wheel carries its share; it feels the ground by the leg's torques. "planned": down to where the
-    sag method says that it carries its share, felt or not: open loop, as the robots were commanded until 2010
-    ([SunSpiral2012] s5.1.4; s7.1 wants motions that end at a contact force for the future)"""
+    sag method, asked for the place that it leaves, says that it carries its share, felt or not: open loop, as the robots were
+    commanded until 2010 ([SunSpiral2012] s5.1.4; s7.1 wants motions that end at a contact force for the future)"""
     lift_clearance: float = 0.5
     """of the wheel above its old place before it swings, over its radius: covers what the springs do not know of sag"""
     approach_clearance: float = 0.4
