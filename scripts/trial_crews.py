@@ -10,8 +10,10 @@ import time
 from pathlib import Path
 from typing import Any
 
+import trial_process
+
 from athlete_twin.errors import ConfigError
-from envs.suite_trial import TRIAL, Asked, remote_trial, run_in_folder
+from envs.suite_trial import TRIAL, Asked
 
 MOMENT = 0.1
 """between two looks at the processes [s]"""
@@ -32,7 +34,7 @@ class LocalCrew:
 
     def start(self, asked: Asked, folder: Path, *, lock: int) -> None:
         """A process; it keeps the lock, so that nobody takes the folder before it is gone."""
-        self._running[asked] = run_in_folder(asked, folder, inherited=(lock,))
+        self._running[asked] = trial_process.run_in_folder(asked, folder, inherited=(lock,))
 
     def ended(self) -> list[tuple[Asked, int]]:
         """Whose process is gone."""
@@ -74,7 +76,9 @@ class RayCrew:
         # Ray takes the signal for itself, and would abort.
         signal.signal(signal.SIGTERM, on_term)
         self.size = size or max(1, int(ray.cluster_resources().get("CPU", 1)))
-        self._run = ray.remote(num_cpus=1, max_retries=0)(remote_trial)
+        # Scripts are not installed on the nodes: the function goes there itself.
+        ray.cloudpickle.register_pickle_by_value(trial_process)
+        self._run = ray.remote(num_cpus=1, max_retries=0)(trial_process.remote_trial)
         self._running: dict[Any, tuple[Asked, Path]] = {}
 
     def start(self, asked: Asked, folder: Path, *, lock: int) -> None:  # noqa: ARG002  (only this process writes here)

@@ -22,7 +22,7 @@ from hypothesis import strategies as st
 
 from athlete_twin.errors import ConfigError, RecordingError
 from envs.suite import suite_of
-from envs.suite_trial import Asked, reason_of, row_of, run_in_folder, this_code
+from envs.suite_trial import Asked, reason_of, row_of, this_code
 from envs.trial import OUTCOMES, TrialResult
 
 ROOT = Path(__file__).parents[2]
@@ -467,10 +467,10 @@ def test_a_process_that_is_killed_is_a_row_and_the_others_go_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_other_code_than_asked_for_is_refused_by_the_trial(tmp_path):
+def test_other_code_than_asked_for_is_refused_by_the_trial(script, tmp_path):
     one = replace(asked()[0], code_sha256="other")
     assert this_code() != "other"
-    status = run_in_folder(one, tmp_path).wait()
+    status = script("trial_process").run_in_folder(one, tmp_path).wait()
     row = row_of(one, tmp_path, status=status)
     assert row["outcome"] == "error" and "this machine has other code, drawings or libraries" in row["reason"]
 
