@@ -389,7 +389,7 @@ def trials_alive(out):
     return found.stdout.split()
 
 
-def awaited(condition, seconds=60.0):
+def awaited(condition, seconds=180.0):
     deadline = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < deadline, "waited in vain"
@@ -446,9 +446,12 @@ def test_interrupted_it_ends_its_trials_and_leaves_nothing(tmp_path, monkeypatch
     out = tmp_path / "out"
     run = compare(out, *(("--ray", "local") if crew == "ray" else ()), limit="60000", seeds="0")
     where = remote / "athlete_trial_" if crew == "ray" else out
-    awaited(lambda: run.poll() is not None or trials_alive(where))
-    run.send_signal(ask)
-    told = run.communicate(timeout=60)[1]
+    try:
+        awaited(lambda: run.poll() is not None or trials_alive(where))
+        run.send_signal(ask)
+        told = run.communicate(timeout=180)[1]
+    finally:
+        run.kill()
     assert run.returncode == 130 and "interrupted; what is done stays in" in told and told.count("\n") == 1
     assert not trials_alive(where) and whole_lines(out) == [] and not list(remote.glob("athlete_trial_*"))
 
