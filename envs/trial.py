@@ -150,6 +150,8 @@ class Trial:
     """what the recording says of where it comes from, as `envs.origin` puts it"""
     urdf: bytes = b""
     """goes into the recording, for viewers that draw the robot"""
+    suite_sha256: str | None = None
+    """of the `envs.suite.Suite` this is a case of, if any"""
 
     def run(self) -> TrialResult:
         """Run to an outcome; `trial.json` and `trial.mcap` are written when it returns."""
@@ -333,7 +335,7 @@ class Trial:
             leg_mask=self.mask_score.summary(),
             stage_times_s=self.timer.summary(),
             trajectory_sha256=trajectory_sha256(self.robot.track),
-            suite_sha256=None,
+            suite_sha256=self.suite_sha256,
             provenance=provenance(),
         )
 

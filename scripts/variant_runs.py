@@ -1,0 +1,280 @@
+"""Runs the trials of a comparison into a folder, each once, whatever happens in between.
+
+A row of `results.jsonl` is written when a trial's folder is complete, by this process alone, and is on the disk before the next
+begins. So a run that is killed at any moment goes on where it was: rows stay, a torn last line goes, a trial that was complete
+but had no row gets it, and one that was half done is done anew.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import shutil
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO, Literal, Protocol
+
+from athlete_twin.errors import ConfigError, RecordingError
+from envs.suite import Case, Suite
+from envs.suite_trial import ASKED, TRIAL, Asked, row_of, this_code
+from envs.trial import usable_folder
+from envs.variants import OutsidePlanner, variant_named
+
+Row = dict[str, Any]
+RESULTS, TRIALS, LOCK = "results.jsonl", "trials", ".lock"
+PATIENCE = 5.0
+"""for which a lock is awaited: the trials of a runner that was killed end a moment after it [s]"""
+
+
+class Crew(Protocol):
+    """Who runs trials, several at once."""
+
+    size: int
+    """trials that run at once"""
+
+    def start(self, asked: Asked, folder: Path, *, lock: int) -> None:
+        """Begin a trial in an empty folder; the open file `lock` is held as long as anyone may write there."""
+
+    def ended(self) -> list[tuple[Asked, int]]:
+        """Trials that ended since, with their exit status, their folders complete; waits a moment for one."""
+
+    def stop(self) -> None:
+        """End what runs, at once."""
+
+
+class Onlooker(Protocol):
+    """Who is shown how far it is."""
+
+    def begins(self, asked: Sequence[Asked], rows: Sequence[Row], *, workers: int) -> None:
+        """What is to be run, and the rows that are there already."""
+
+    def started(self, asked: Asked) -> None:
+        """A trial began."""
+
+    def row(self, asked: Asked, row: Row) -> None:
+        """A trial ended."""
+
+    def waits(self) -> None:
+        """Nothing ended lately."""
+
+
+def asked_for(suite: Suite, cases: Sequence[Case], variants: Sequence[str], *, body: str) -> list[Asked]:
+    """The trials of a comparison; all variants of a case before the next case, so that what is there early are pairs."""
+    sha256, code = suite.sha256, this_code()
+    files = {variant: variant_sha256(variant) for variant in variants}
+    return [
+        Asked(case=case, variant=v, body=body, suite_sha256=sha256, code_sha256=code, variant_sha256=files[v])
+        for case in cases
+        for v in variants
+    ]
+
+
+def variant_sha256(variant: str) -> str:
+    """Hash of what a variant is: its content with its base's, or a planner's source; empty where that lies in no file."""
+    found = variant_named(variant)
+    if isinstance(found, OutsidePlanner):
+        return found.sha256
+    return hashlib.sha256(json.dumps(found.content, sort_keys=True, default=str).encode()).hexdigest()
+
+
+def run_all(
+    asked: Sequence[Asked],
+    out: Path,
+    *,
+    crew: Crew,
+    onlooker: Onlooker,
+    retry_errors: bool = False,
+    unwanted: Sequence[str] = (),
+) -> list[Row]:
+    """Runs what has no row yet; the rows of all that was asked, in that order.
+
+    Args:
+        asked: the trials.
+        out: folder that holds them, made if need be.
+        crew: who runs them; it is stopped when this returns or raises.
+        onlooker: is told how far it is.
+        retry_errors: also run again what could not be run before.
+        unwanted: names of files in a trial's folder that are deleted once its row is written.
+    """
+    try:
+        with results_of(out) as results:
+            results.unwanted = unwanted
+            results.check(asked)
+            if retry_errors:
+                results.forget_errors(asked)
+            for one in asked:
+                results.adopt(one)
+            todo = deque(one for one in asked if one.key not in results.rows)
+            onlooker.begins(asked, [results.rows[a.key] for a in asked if a.key in results.rows], workers=crew.size)
+            _run(todo, results, crew, onlooker)
+            results.sort(asked)
+            return [results.rows[one.key] for one in asked]
+    finally:
+        crew.stop()
+
+
+def read_rows(path: Path) -> tuple[list[Row], int]:
+    """The whole rows of a results file, and the bytes they take: what follows was torn off while it was written."""
+    if not path.is_file():
+        return [], 0
+    raw = path.read_bytes()
+    whole = raw.rfind(b"\n") + 1
+    rows = []
+    for i, line in enumerate(raw[:whole].splitlines()):
+        try:
+            row = json.loads(line)
+            row["case"], row["variant"], row["suite_sha256"], row["provenance"]["code_sha256"]
+        except (ValueError, KeyError, TypeError) as e:
+            raise ConfigError(f"{path}: line {i + 1} is no row of a comparison; delete that line to have its trial run again") from e
+        rows.append(row)
+    return rows, whole
+
+
+@contextmanager
+def results_of(out: Path) -> Iterator[Results]:
+    """The results in a folder, for this process alone to write."""
+    usable_folder(out)
+    path = out / LOCK
+    with path.open("a+") as lock:
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                break
+            except BlockingIOError:
+                if time.monotonic() > deadline:
+                    holder = path.read_text().strip() or "unknown"
+                    raise ConfigError(
+                        f"{out} is being written by another run (process {holder}); wait for it, end it, or name another --out"
+                    ) from None
+                time.sleep(0.1)
+        lock.truncate(0)
+        lock.write(f"{os.getpid()}\n")
+        lock.flush()
+        rows, whole = read_rows(out / RESULTS)
+        if rows and whole < (out / RESULTS).stat().st_size:
+            os.truncate(out / RESULTS, whole)
+        yield Results(out=out, lock=lock.fileno(), rows={(r["case"], r["variant"]): r for r in rows})
+
+
+@dataclass(kw_only=True)
+class Results:
+    """Rows on the disk and in memory, by case and variant."""
+
+    out: Path
+    lock: int
+    """open file whose lock this process holds"""
+    rows: dict[tuple[str, str], Row]
+    unwanted: Sequence[str] = ()
+    """files of a trial that go when its row is there"""
+
+    def folder(self, asked: Asked) -> Path:
+        """Where a trial's files are."""
+        return self.out / TRIALS / asked.folder
+
+    def check(self, asked: Sequence[Asked]) -> None:
+        """Refuses a folder whose rows do not compare with what is asked."""
+        if not self.rows or not asked:
+            return
+        first, rows = asked[0], list(self.rows.values())
+        way_out = "name another --out, or delete that folder"
+        foreign = [r for r in rows if r["suite_sha256"] != first.suite_sha256]
+        if foreign:
+            was, now = str(foreign[0]["suite_sha256"])[:12], first.suite_sha256[:12]
+            raise ConfigError(f"{self.out}: {len(foreign)} of its trials are of another suite ({was}, this one is {now}); {way_out}")
+        foreign = [r for r in rows if r["provenance"]["code_sha256"] != first.code_sha256]
+        if foreign:
+            was = f"version {foreign[0]['provenance'].get('version')}, commit {str(foreign[0]['provenance'].get('git_sha'))[:12]}"
+            raise ConfigError(
+                f"{self.out}: {len(foreign)} of its trials were run by another version of the code, the drawings or the libraries "
+                f"({was}); {way_out}"
+            )
+        if any(r["provenance"].get("body") != first.body for r in rows):
+            raise ConfigError(f"{self.out}: its trials were run with another body than {first.body!r}; {way_out}")
+        files = {a.variant: a.variant_sha256 for a in asked}
+        for row in rows:
+            variant = row["variant"]
+            if variant in files and row["provenance"].get("variant_sha256") != files[variant]:
+                raise ConfigError(f"{self.out}: variant {variant} has changed since its trials were run; {way_out}")
+
+    def adopt(self, asked: Asked) -> None:
+        """Gives a trial its row that was complete when its runner was killed."""
+        folder = self.folder(asked)
+        if asked.key in self.rows or not (folder / TRIAL).is_file() or not (folder / ASKED).is_file():
+            return
+        if (folder / ASKED).read_text() == asked.text():
+            self.add(asked, row_of(asked, folder, status=0))
+
+    def emptied(self, asked: Asked) -> Path:
+        """The trial's folder without what an earlier run left there."""
+        folder = self.folder(asked)
+        if folder.exists():
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True)
+        return folder
+
+    def add(self, asked: Asked, row: Row) -> Row:
+        """The row as it was written; it is on the disk when this returns."""
+        line = _line(row | {"folder": f"{TRIALS}/{asked.folder}"})
+        with _on_disk(self.out / RESULTS, "ab") as file:
+            file.write(line)
+        row = json.loads(line)
+        self.rows[asked.key] = row
+        for name in self.unwanted:
+            (self.folder(asked) / name).unlink(missing_ok=True)
+        return row
+
+    def forget_errors(self, asked: Sequence[Asked]) -> None:
+        """Takes away the rows of what could not be run."""
+        keys = {a.key for a in asked}
+        self.rows = {k: r for k, r in self.rows.items() if k not in keys or r["outcome"] != "error"}
+        self._rewrite()
+
+    def sort(self, asked: Sequence[Asked]) -> None:
+        """Puts the rows into the order of what was asked, others behind: two runs then agree line by line but for timings."""
+        order = {a.key: i for i, a in enumerate(asked)}
+        self.rows = dict(sorted(self.rows.items(), key=lambda item: (order.get(item[0], len(order)), item[0])))
+        self._rewrite()
+
+    def _rewrite(self) -> None:
+        part = self.out / f"{RESULTS}.part"
+        with _on_disk(part, "wb") as file:
+            file.writelines(_line(row) for row in self.rows.values())
+        part.replace(self.out / RESULTS)
+
+
+def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -> None:
+    running = 0
+    while todo or running:
+        while todo and running < crew.size:
+            crew.start(todo[0], results.emptied(todo[0]), lock=results.lock)
+            onlooker.started(todo.popleft())
+            running += 1
+        ended = crew.ended()
+        for asked, status in ended:
+            running -= 1
+            onlooker.row(asked, results.add(asked, row_of(asked, results.folder(asked), status=status)))
+        if not ended:
+            onlooker.waits()
+
+
+@contextmanager
+def _on_disk(path: Path, mode: Literal["ab", "wb"]) -> Iterator[BinaryIO]:
+    """A file to write whose content is on the disk in the end."""
+    try:
+        with path.open(mode) as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as e:
+        raise RecordingError(f"{path} cannot be written: {e.strerror}; make room, the same command then goes on from there") from e
+
+
+def _line(row: Row) -> bytes:
+    return json.dumps(row, allow_nan=False).encode() + b"\n"
