@@ -21,6 +21,7 @@ from athlete_twin.geometry.arrays import Image, Joints, PerLeg, RawImage, Vec3, 
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import ImageRequest, Message, StereoPair, Telemetry
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.placed_legs import LegChains
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.moment import Moment, taken
@@ -70,6 +71,7 @@ class MockAthlete(Commanded):
         self.spec = spec
         self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
+        self._chains = LegChains(self.kin)
         self.executive = Executive(kin=self.kin, setpoint=regular_stance(spec))
         self.t = 0.0
         self.collisions: list[MockCollision] = []
@@ -84,6 +86,7 @@ class MockAthlete(Commanded):
         self._anchors = wheels[:, :2].copy()
         self._loads = np.zeros(LEGS)
         self._held_by: Joints | None = None
+        self._held_fraction = 0.0
         self._world_from_hex = SE3.identity()
         self._settle()
         self._record_track()
@@ -122,11 +125,11 @@ class MockAthlete(Commanded):
     def save(self) -> Moment:
         """This moment: what follows `restore` of it equals what follows now, to the last bit."""
         changing = {name: value for name, value in vars(self).items() if name != "on_view"}
-        return taken(changing, (self.spec, self.kin, *self.track))
+        return taken(changing, (self.spec, self.kin, self._chains, *self.track))
 
     def restore(self, moment: Moment) -> None:
         """Back to a moment that this robot saved, as often as wanted."""
-        vars(self).update(taken(moment, (self.spec, self.kin, *moment["track"])))
+        vars(self).update(taken(moment, (self.spec, self.kin, self._chains, *moment["track"])))
 
     def truth(self) -> MockTruth:
         """What is so now."""
@@ -138,8 +141,8 @@ class MockAthlete(Commanded):
             motors=joints.copy(),
             torques=self._torques(),
             wheel_loads=self._loads.copy(),
-            wheels_in_world=self._world_from_hex.apply(self._wheels_in_hex),
-            com_in_world=self._world_from_hex.apply(self._com_in_hex),
+            wheels_in_world=self._world_from_hex.apply(self._placed.wheels),
+            com_in_world=self._world_from_hex.apply(self._placed.com),
             phases=tuple(self.executive.phases),
             moving=self.executive.busy,
             peak_torque_fraction=self.peak_torque_fraction,
@@ -155,8 +158,7 @@ class MockAthlete(Commanded):
     def _control_tick(self) -> list[Message]:
         state = self.executive.state
         torques = self._torques()
-        fraction = float((np.abs(torques) / self.spec.torque_limits).max())
-        self.peak_torque_fraction = max(self.peak_torque_fraction, fraction)
+        self.peak_torque_fraction = max(self.peak_torque_fraction, self._held_fraction)
         sensed = Sensed(joints=self.executive.setpoint, torques=torques, attitude_rpy=self._world_from_hex.rpy())
         before = self.executive.setpoint
         events = self.executive.tick(sensed)
@@ -164,7 +166,8 @@ class MockAthlete(Commanded):
             velocities = rolling_velocities(self.kin, self.executive.setpoint, self.executive.wheel_rates)
             self._anchors = self._anchors + CONTROL_PERIOD * (velocities @ yawed(self._place_xy_yaw[2]).T)[:, :2]
         # By content: the set-points of a restored motion are equal ones, not the same.
-        if self.executive.rolling or not np.array_equal(self.executive.setpoint, before):
+        setpoint = self.executive.setpoint
+        if self.executive.rolling or (setpoint is not before and (setpoint != before).any()):
             self._settle()
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
@@ -180,10 +183,10 @@ class MockAthlete(Commanded):
         """New chassis pose: height and tilt balance the weight on the springs, planted wheels keep their places."""
         spec = self.spec
         self._held_by = None
-        self._wheels_in_hex, self._com_in_hex = self.kin.wheels_and_com(self.executive.setpoint)
+        self._placed = self._chains.placed(self.executive.setpoint)
         self._height_tilt, self._loads, self._place_xy_yaw, self._anchors, rotation, translation = stand(
-            self._wheels_in_hex,
-            self._com_in_hex,
+            self._placed.wheels,
+            self._placed.com,
             self._height_tilt,
             spec.wheel.radius,
             spec.believed_foot_stiffness,
@@ -197,10 +200,10 @@ class MockAthlete(Commanded):
     def _torques(self) -> Joints:
         """What holds the legs where they settled last; computed once for each place where somebody asks."""
         if self._held_by is None:
-            up = self._world_from_hex.rotation.T @ np.array([0.0, 0.0, 1.0])
-            contacts = self._wheels_in_hex - self.spec.wheel.radius * up
-            loads = self._loads[:, None] * up
-            self._held_by = self.kin.gravity_torques(self.executive.setpoint, -GRAVITY * up, loads, contacts)
+            up = self._world_from_hex.rotation[2].copy()
+            contacts = self._placed.wheels - self.spec.wheel.radius * up
+            self._held_by = self._chains.held(self._placed, -GRAVITY * up, self._loads[:, None] * up, contacts)
+            self._held_fraction = float((np.abs(self._held_by) / self.spec.torque_limits).max())
         return self._held_by.copy()
 
     def _capture(self, request: ImageRequest) -> list[Message]:

@@ -43,7 +43,7 @@ class Kinematics:
         chassis = model.inertias[0]
         pin.centerOfMass(model, self.pin_data, pin.neutral(model))
         self._moving = float(self.pin_data.mass[0])
-        self._chassis_mass, self._chassis_moment = float(chassis.mass), chassis.mass * np.asarray(chassis.lever)
+        self.chassis_mass, self.chassis_moment = float(chassis.mass), chassis.mass * np.asarray(chassis.lever)
         self._top = np.array([0.0, 0.0, spec.top_in_hex])
         self._link_frames = {f.name: i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY}
 
@@ -59,13 +59,8 @@ class Kinematics:
     def wheels_in_hex(self, joints: Joints) -> Wheels:
         """Axle centres in hex, shape (6, 3) [m]."""
         self._place(joints)
-        return self._placed_wheels()
-
-    def wheels_and_com(self, joints: Joints) -> tuple[Wheels, Vec3]:
-        """`wheels_in_hex` and `com_in_hex` without a payload, for less than the two together."""
-        com = self.com_in_hex(joints)  # places the joints, too
-        pin.updateFramePlacements(self.pin_model, self.pin_data)
-        return self._placed_wheels(), com
+        placed = self.pin_data.oMf
+        return np.array([placed[frame].translation for frame in self._wheel_frames])
 
     def leg_wheel(self, leg: int, q: LegJoints) -> SE3:
         """`hex_from_wheel` of one leg, the others being anywhere."""
@@ -90,8 +85,8 @@ class Kinematics:
             raise KinematicsError(f"payload is {payload_kg} kg, must be 0 or more")
         legs = np.asarray(pin.centerOfMass(self.pin_model, self.pin_data, self.pin_q(joints)))
         # Pinocchio counts what moves; the chassis, which it holds fixed, is added here.
-        moment = self._moving * legs + self._chassis_moment + payload_kg * self._top
-        return np.asarray(moment / (self._moving + self._chassis_mass + payload_kg))
+        moment = self._moving * legs + self.chassis_moment + payload_kg * self._top
+        return np.asarray(moment / (self._moving + self.chassis_mass + payload_kg))
 
     def link_poses(self, joints: Joints) -> dict[str, SE3]:
         """`hex_from_link` of every link by its URDF name."""
@@ -138,10 +133,6 @@ class Kinematics:
         jacobian = full[:, self._q_of[leg]]
         arm = self.spec.wheel.radius * gravity_in_hex / np.linalg.norm(gravity_in_hex)
         return np.asarray(jacobian[:3] - _crossed(arm, jacobian[3:].T).T)
-
-    def _placed_wheels(self) -> Wheels:
-        placed = self.pin_data.oMf
-        return np.array([placed[frame].translation for frame in self._wheel_frames])
 
     def _place(self, joints: Joints) -> None:
         pin.forwardKinematics(self.pin_model, self.pin_data, self.pin_q(joints))
