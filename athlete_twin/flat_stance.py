@@ -34,11 +34,12 @@ def stand(wheels_in_hex, com_in_hex, height_tilt, radius, stiffness, weight, sta
         anchors: where the wheels stand, shape (6, 2) [m].
 
     Returns:
-        Height and tilt, loads (6,) [N], place, anchors, and rotation and translation of `world_from_hex`.
+        Height and tilt, loads (6,) [N], place, anchors, rotation and translation of `world_from_hex`, axles and centre of mass
+        in world [m].
     """
     height_tilt, loads = balance(wheels_in_hex, com_in_hex, height_tilt, radius, stiffness, weight)
     level_from_hex = rolled_pitched(height_tilt[1], height_tilt[2])
-    plan = _turned(wheels_in_hex, level_from_hex)
+    plan = _turned(wheels_in_hex, level_from_hex, 2)
     planted = stance & (loads > 0.0)
     if planted.sum() >= 2:
         place = fit_plan(plan, anchors, planted)
@@ -52,12 +53,13 @@ def stand(wheels_in_hex, com_in_hex, height_tilt, radius, stiffness, weight, sta
                 + world_from_level[row, 2] * level_from_hex[2, column]
             )
     translation = np.array([place[0], place[1], height_tilt[0]])
-    here = _turned(wheels_in_hex, rotation)
+    axles = _turned(wheels_in_hex, rotation, 3) + translation
+    com = _turned(com_in_hex.reshape((1, 3)), rotation, 3)[0] + translation
     stands = anchors.copy()
     for leg in range(len(stands)):
         if not planted[leg]:
-            stands[leg, 0], stands[leg, 1] = here[leg, 0] + translation[0], here[leg, 1] + translation[1]
-    return height_tilt, loads, place, stands, rotation, translation
+            stands[leg, 0], stands[leg, 1] = axles[leg, 0], axles[leg, 1]
+    return height_tilt, loads, place, stands, rotation, translation, axles, com
 
 
 @no_type_check
@@ -140,11 +142,11 @@ def yawed(yaw):  # type: ignore[no-untyped-def]
 
 @no_type_check
 @numba.njit(cache=True)
-def _turned(points, rotation):  # type: ignore[no-untyped-def]
-    """x and y of points (n, 3) turned, shape (n, 2)."""
-    out = np.empty((len(points), 2))
+def _turned(points, rotation, rows):  # type: ignore[no-untyped-def]
+    """The first so many coordinates of points (n, 3) turned, shape (n, rows)."""
+    out = np.empty((len(points), rows))
     for i in range(len(points)):
-        for row in range(2):
+        for row in range(rows):
             out[i, row] = (
                 rotation[row, 0] * points[i, 0] + rotation[row, 1] * points[i, 1] + rotation[row, 2] * points[i, 2]
             )

@@ -141,8 +141,8 @@ class MockAthlete(Commanded):
             motors=joints.copy(),
             torques=self._torques(),
             wheel_loads=self._loads.copy(),
-            wheels_in_world=self._world_from_hex.apply(self._placed.wheels),
-            com_in_world=self._world_from_hex.apply(self._placed.com),
+            wheels_in_world=self._wheels_in_world.copy(),
+            com_in_world=self._com_in_world.copy(),
             phases=tuple(self.executive.phases),
             moving=self.executive.busy,
             peak_torque_fraction=self.peak_torque_fraction,
@@ -184,7 +184,10 @@ class MockAthlete(Commanded):
         spec = self.spec
         self._held_by = None
         self._placed = self._chains.placed(self.executive.setpoint)
-        self._height_tilt, self._loads, self._place_xy_yaw, self._anchors, rotation, translation = stand(
+        (
+            self._height_tilt, self._loads, self._place_xy_yaw, self._anchors, rotation, translation, self._wheels_in_world,
+            self._com_in_world,
+        ) = stand(
             self._placed.wheels,
             self._placed.com,
             self._height_tilt,
@@ -194,7 +197,7 @@ class MockAthlete(Commanded):
             np.array([phase == "stance" for phase in self.executive.phases]),
             self._place_xy_yaw,
             self._anchors,
-        )
+        )  # fmt: skip
         self._world_from_hex = SE3(rotation, translation)
 
     def _torques(self) -> Joints:
