@@ -232,7 +232,9 @@ class _Foresight:
             above, under = bottom[k - 1] - ground[k - 1], ground[k] - bottom[k]
             touch = k - 1 + above / max(above + under, 1e-12)
         at_touch = way.cut(touch)
-        self.stance.lands(leg, self._axles_on(at_touch, free, leg)[-1], float(np.interp(touch, np.arange(len(ground)), ground)))
+        fork = free.world_from_leg[leg].rotation @ self.kin.leg_wheel(leg, at_touch.motors[-1, leg]).rotation
+        height = float(np.interp(touch, np.arange(len(ground)), ground))
+        self.stance.lands(leg, fork, self._axles_on(at_touch, free, leg)[-1], height)
         end, loaded = self._carries(way, touch, leg, command.contact_load)
         cut = way.cut(end)
         moments = [
@@ -414,5 +416,6 @@ def _mixed(first: Standing, second: Standing, share: float) -> Standing:
         forces=(1.0 - share) * first.forces + share * second.forces,
         loads=(1.0 - share) * first.loads + share * second.loads,
         sideways_in_world=(1.0 - share) * first.sideways_in_world + share * second.sideways_in_world,
+        rolled_in_world=(1.0 - share) * first.rolled_in_world + share * second.rolled_in_world,
         status=second.status if second.status != "converged" else first.status,
     )

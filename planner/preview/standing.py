@@ -23,6 +23,8 @@ from planner.sag.leg_compliance import held_response, patch_compliance
 from planner.sag.sag_model import AIRBORNE, FootSprings
 
 WORLD_UP = np.array([0.0, 0.0, 1.0])
+ROLLING_PASSES = 3
+"""of axles that roll as the chassis inclines, and incline it: each pass leaves a tenth of what was left or less"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,6 +41,8 @@ class Standing:
     """their vertical part [N]"""
     sideways_in_world: Wheels
     """horizontal forces of the ground on the wheels that came since the start, shape (6, 3) [N]"""
+    rolled_in_world: Wheels
+    """by which the axles of standing wheels have rolled on, a wheel being locked to its fork and that inclined, shape (6, 3) [m]"""
     status: str
     """"converged", or why no such stance is: see `SagSolution.status`"""
 
@@ -63,6 +67,10 @@ class Stance:
         """under which they are there [N]"""
         self._first_loads = self._loads.copy()
         self._solved: dict[tuple[bytes, ...], Standing] = {}
+        self._forks = np.zeros((LEGS, 3, 3))
+        """of each standing wheel, as it stood first or touched, in world: what it has inclined since, it has rolled"""
+        first = self._at(belief.motors)
+        self._forks = self._forks_in_world([carried.rotation for carried in first.world_from_leg], belief.motors)
         self._landed = np.zeros(LEGS, dtype=bool)
         """wheels that came down since the start"""
         regular = kin.spec.wheel.radius - belief.loads / kin.spec.believed_tyre_stiffness
@@ -73,9 +81,10 @@ class Stance:
         self._compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, gravity)
         self._contacts_in_hex = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
 
-    def lands(self, leg: int, axle_in_world: Vec3, ground: float) -> None:
-        """A wheel touches ground of a height [m] there: from now on it stands, loaded or not."""
+    def lands(self, leg: int, fork_in_world: np.ndarray, axle_in_world: Vec3, ground: float) -> None:
+        """A wheel touches ground of a height [m] there, its fork as it is then: from now on it stands, loaded or not."""
         self.stands[leg] = True
+        self._forks[leg] = fork_in_world
         self._anchors[leg] = np.append(axle_in_world[:2], ground + self.kin.spec.wheel.radius - self._sink)
         self._landed[leg] = True
         self._axles[leg] = self._anchors[leg]
@@ -111,27 +120,45 @@ class Stance:
         if fitted.sum() < 3:
             pose = self._world_from_unsagged
             still = np.zeros((LEGS, 3))
-            return self._standing(pose, pose, [pose] * LEGS, still, np.zeros(LEGS), still, "too_few_feet")
+            return self._standing(pose, pose, [pose] * LEGS, still, np.zeros(LEGS), still, still, "too_few_feet")
         world_from_unsagged = _fit(feet[fitted], self._anchors[fitted])
         lifts = np.where(fitted, world_from_unsagged.apply(feet)[:, 2] - self._anchors[:, 2], AIRBORNE)
         gravity = -GRAVITY * world_from_unsagged.rotation.T @ WORLD_UP
         solved = self._solve(motors, gravity, lifts)
         loads = self._upward(solved.forces, gravity)
         aside, sideways = self._aside(loads)
-        corrected = aside.compose(world_from_unsagged)
-        pose = corrected.compose(solved.unsagged_from_sagged)
-        if isinstance(solved, DockedSag):
-            carried = [corrected.compose(solved.unsagged_from_leg(leg)) for leg in range(LEGS)]
-        else:
-            carried = [pose] * LEGS
+        # The chassis goes along with axles that roll, and so inclines them: a little less each time.
+        for _ in range(ROLLING_PASSES):
+            corrected = aside.compose(world_from_unsagged)
+            pose = corrected.compose(solved.unsagged_from_sagged)
+            if isinstance(solved, DockedSag):
+                carried = [corrected.compose(solved.unsagged_from_leg(leg)) for leg in range(LEGS)]
+            else:
+                carried = [pose] * LEGS
+            rolled = self._rolled(carried, motors)
+            world_from_unsagged = _fit(feet[fitted], (self._anchors + rolled)[fitted])
         forces = pose.rotation.T @ corrected.rotation @ solved.forces.T
-        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, sideways, solved.status)
+        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, sideways, rolled, solved.status)
+
+    def _rolled(self, carried: list[SE3], motors: Joints) -> Wheels:
+        """By which the axles of standing wheels are beside where they were: a wheel rolls about its patch as its fork inclines."""
+        if not self._forks.any():
+            return np.zeros((LEGS, 3))
+        forks = self._forks_in_world([pose.rotation for pose in carried], motors)
+        turns = Rotation.from_matrix(forks @ self._forks.transpose(0, 2, 1)).as_rotvec()
+        rolled = np.cross(turns, self.kin.spec.wheel.radius * WORLD_UP)
+        return np.where(self.stands[:, None], rolled, 0.0)
+
+    def _forks_in_world(self, carried: list[np.ndarray], motors: Joints) -> np.ndarray:
+        """Rotations of the forks, shape (6, 3, 3)."""
+        return np.array([turn @ self.kin.leg_wheel(leg, motors[leg]).rotation for leg, turn in enumerate(carried)])
 
     def axles(self, standing: Standing, joints: Joints) -> Wheels:
         """Axles in world, shape (6, 3) [m]; `joints` behind the wind-up say where the legs in the air are."""
         spec = self.kin.spec
         stiffness = np.where(self._landed, spec.believed_tyre_stiffness, spec.believed_tyre_tangent)
         out = self._axles - np.outer((standing.loads - self._loads) / stiffness, WORLD_UP)
+        out += standing.rolled_in_world
         out -= standing.sideways_in_world / (spec.believed_tyre_stiffness * spec.believed_lateral_ratio)
         in_hex = self.kin.wheels_in_hex(joints)
         for leg in np.flatnonzero(~self.stands | (standing.loads <= 0.0)):
@@ -139,12 +166,14 @@ class Stance:
         return out
 
     def _standing(
-        self, world_from_unsagged: SE3, pose: SE3, carried: list[SE3], forces: Wheels, loads: PerLeg, sideways: Wheels, status: str
-    ) -> Standing:
+        self, world_from_unsagged: SE3, pose: SE3, carried: list[SE3], forces: Wheels, loads: PerLeg, sideways: Wheels,
+        rolled: Wheels, status: str,
+    ) -> Standing:  # fmt: skip
         self._world_from_unsagged = world_from_unsagged
         return Standing(
-            world_from_hex=pose, world_from_leg=tuple(carried), forces=forces, loads=loads, sideways_in_world=sideways, status=status
-        )
+            world_from_hex=pose, world_from_leg=tuple(carried), forces=forces, loads=loads, sideways_in_world=sideways,
+            rolled_in_world=rolled, status=status,
+        )  # fmt: skip
 
     def _solve(self, motors: Joints, gravity: Vec3, lifts: PerLeg):  # type: ignore[no-untyped-def]  # SagSolution | DockedSag
         feet, com = self.kin.wheels_in_hex(motors), self.kin.com_in_hex(motors, self._payload)
