@@ -52,7 +52,12 @@ class PreviewConfig:
     max_wheel_sink: float = 0.05
     """of a wheel in the air into the believed terrain: what the map errs by [m]"""
 
+    friction: float = 0.5
+    """of a wheel that leaves the ground sideways, a tyre on sand or rock: more holds it longer where its leg is wound up"""
+
     def __post_init__(self) -> None:
+        if not 0.0 <= self.friction < np.inf:
+            raise ConfigError(f"preview: friction is {self.friction}, must be finite and not negative")
         for name in ("part_clearance", "min_margin", "max_wheel_sink"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ConfigError(f"preview: {name} is {getattr(self, name)} m, must be finite and not negative")
@@ -122,6 +127,8 @@ class _Foresight:
         bare = CollisionConfig(part_clearance=config.part_clearance, deviations=0.0, near_ground_clearance=0.0)
         self.body = BodyCollision(kin.spec, terrain, bare)
         self.t, self.motors = 0.0, belief.motors.copy()
+        self._leaving = -1
+        """leg whose wheel is being lifted off and may still be held by the ground"""
         self.begins: list[float] = []
         self.faults: list[PreviewFault] = []
         self.rows: list[tuple[float, Joints, SE3, Wheels, float, float]] = []
@@ -205,7 +212,10 @@ class _Foresight:
         if way.free_times is not None:
             way = way.hastened(reached, way.free_times).held(BREAK_HOLD)
             moments.append(moments[-1])
-        return self._take(index, way, way.times, way.motors, moments)
+        self._leaving = leg
+        stands = self._take(index, way, way.times, way.motors, moments)
+        self._leaving = -1
+        return stands
 
     def _commanded_height(self, way: Stretch, leg: int) -> np.ndarray:
         up = -self.belief.gravity_in_hex() / GRAVITY
@@ -324,6 +334,8 @@ class _Foresight:
         forces = np.outer(standing.loads, up)
         kept = belief.planted & self.stance.stands & (standing.loads > 0.0)
         forces[kept] += (belief.forces - np.outer(belief.forces @ up, up))[kept]
+        if self._leaving >= 0:
+            forces[self._leaving] += self.stance.held_sideways(self._leaving, standing.loads[self._leaving], self.config.friction)
         return np.asarray(forces)
 
     def _take(

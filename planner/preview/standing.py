@@ -19,7 +19,7 @@ from athlete_twin.model.spec import LEGS
 from planner.belief import Belief
 from planner.sag.compensate import stand_on
 from planner.sag.docked import DockedSag, Docks
-from planner.sag.leg_compliance import held_response, patch_compliance
+from planner.sag.leg_compliance import held_response, horizontal, patch_compliance
 from planner.sag.sag_model import AIRBORNE, FootSprings
 
 WORLD_UP = np.array([0.0, 0.0, 1.0])
@@ -97,6 +97,21 @@ class Stance:
     def stays(self, leg: int) -> None:
         """A wheel that was to leave the ground stands where it stood."""
         self.stands[leg] = True
+
+    def held_sideways(self, leg: int, load: float, friction: float) -> Vec3:
+        """Horizontal force of the ground on a wheel whose leg unloads, in the hex frame [N].
+
+        It stood with what the torques told. Its leg would go aside as the load goes; the ground holds it, as long as friction does.
+        """
+        belief = self.belief
+        if not belief.planted[leg] or self._landed[leg] or not belief.forces[leg].any():
+            return np.zeros(3)
+        up = -belief.gravity_in_hex() / GRAVITY
+        across, compliance = horizontal(up), self._compliance[leg]
+        aside = across.T @ compliance @ up * (self._first_loads[leg] - load)
+        force = across.T @ belief.forces[leg] + np.linalg.solve(across.T @ compliance @ across, aside)
+        size = float(np.linalg.norm(force))
+        return np.asarray(across @ force * min(1.0, friction * max(load, 0.0) / max(size, 1e-9)))
 
     def bears_at(self, leg: int) -> float:
         """Height in world at which the spring of a wheel that stands, or stood last, begins to bear [m]."""
