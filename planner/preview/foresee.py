@@ -27,7 +27,7 @@ from planner.motion.collision import BodyCollision
 from planner.motion.collision_parts import CollisionConfig
 from planner.preview.preview import Preview, PreviewFault, between
 from planner.preview.standing import WORLD_UP, Stance, Standing
-from planner.preview.ways import BREAK_HOLD, SETTLING_TIME, BadCommandError, Stretch, stretch
+from planner.preview.ways import AIRBORNE_LOAD, BREAK_HOLD, SETTLING_TIME, BadCommandError, Stretch, stretch
 from planner.sag.sag_model import FootSprings
 from planner.stability.margin import support_margin
 
@@ -202,13 +202,14 @@ class _Foresight:
             self._go(index, way)
             self._fault("contact_not_broken", index, self.t, leg, text)
             return False
-        # The load falls evenly with the commanded height: it is gone where the place that carried it has come down that far
-        # below where its spring begins to bear ([SunSpiral2012] eq. 12).
-        height, place = self._commanded_height(way, leg), self.kin.leg_wheel(leg, way.motors[0, leg]).translation
-        sunk = self.stance.bears_at(leg) - float(free.world_from_leg[leg].apply(place)[2])
-        share = 1.0 if height[-1] <= 0.0 else float(np.clip(sunk / height[-1], 0.0, 1.0))
-        reached = share * breaks
-        moments = [_mixed(first, free, min(k / max(reached, 1e-9), 1.0)) for k in range(len(way.times))]
+        place = self.kin.leg_wheel(leg, way.motors[0, leg]).translation
+        drop = float((first.world_from_leg[leg].apply(place) - free.world_from_leg[leg].apply(place))[2])
+        loads, lifts = self.stance.unloading(leg, drop, self.config.friction)
+        height = np.maximum.accumulate(self._commanded_height(way, leg))
+        carried = np.interp(height, lifts, loads)
+        free_from = float(np.interp(AIRBORNE_LOAD, loads[::-1], lifts[::-1]))
+        reached = float(np.interp(free_from, height, np.arange(breaks + 1.0)))
+        moments = [_mixed(first, free, 1.0 - load / max(loads[0], 1e-9)) for load in carried]
         if way.free_times is not None:
             way = way.hastened(reached, way.free_times).held(BREAK_HOLD)
             moments.append(moments[-1])

@@ -23,6 +23,8 @@ from planner.sag.leg_compliance import held_response, horizontal, patch_complian
 from planner.sag.sag_model import AIRBORNE, FootSprings
 
 WORLD_UP = np.array([0.0, 0.0, 1.0])
+UNLOADING_POINTS = 16
+"""between the load of a wheel and none at which its lift-off is looked at"""
 ROLLING_PASSES = 3
 """of axles that roll as the chassis inclines, and incline it: each pass leaves a tenth of what was left or less"""
 
@@ -97,6 +99,22 @@ class Stance:
     def stays(self, leg: int) -> None:
         """A wheel that was to leave the ground stands where it stood."""
         self.stands[leg] = True
+
+    def unloading(self, leg: int, drop: float, friction: float) -> tuple[np.ndarray, np.ndarray]:
+        """Loads of a wheel that is lifted off, falling to zero, shape (n,) [N], and the commanded heights at which it has them [m].
+
+        Its leg unwinds and its tyre swells as the load goes, in its posture; what it leans on sideways lets go as friction lets it.
+
+        Args:
+            leg: index 0 to 5.
+            drop: by which what carries the leg comes down in all [m].
+            friction: coefficient between wheel and ground.
+        """
+        up = -self.belief.gravity_in_hex() / GRAVITY
+        loads = np.linspace(self._first_loads[leg], 0.0, UNLOADING_POINTS)
+        forces = np.array([load * up + self.held_sideways(leg, float(load), friction) for load in loads])
+        gives = forces @ self._compliance[leg] @ up + drop * loads / max(float(loads[0]), 1e-9)
+        return loads, np.maximum.accumulate(gives[0] - gives)
 
     def held_sideways(self, leg: int, load: float, friction: float) -> Vec3:
         """Horizontal force of the ground on a wheel whose leg unloads, in the hex frame [N].

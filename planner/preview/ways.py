@@ -26,6 +26,8 @@ MOST_SAMPLES = 200
 """of one command"""
 IMAGING_TIME, SETTLING_TIME, BREAK_HOLD = 0.5, 1.0, 0.5
 """the executive's: of a set of pictures, at the end of a sequence, and after a lift-off until it is sure of it [s]"""
+AIRBORNE_LOAD = 120.0
+"""on a wheel that is lifted off, below which the executive takes it for free and goes faster [N]"""
 DRIVE_ACCELERATION, HALT = 0.3, 0.3
 """of the chassis [m/s2], and until it is at rest before the wheels are steered back [s]: the executive's"""
 
