@@ -27,7 +27,7 @@ from planner.motion.collision import BodyCollision
 from planner.motion.collision_parts import CollisionConfig
 from planner.preview.preview import Preview, PreviewFault, between
 from planner.preview.standing import WORLD_UP, Stance, Standing
-from planner.preview.ways import AIRBORNE_LOAD, BREAK_HOLD, SETTLING_TIME, BadCommandError, Stretch, stretch
+from planner.preview.ways import AIRBORNE_LOAD, BREAK_HOLD, SETTLING_TIME, TICK, BadCommandError, Stretch, stretch
 from planner.sag.sag_model import FootSprings
 from planner.stability.margin import support_margin
 
@@ -356,7 +356,8 @@ class _Foresight:
             self.rows.append((now, joints, standing.world_from_hex, axles, margin, float(fractions.max())))
             if index >= 0:
                 self._judge(index, now, standing, joints, margin, fractions, moving, way)
-        self.t += float(times[-1])
+        moves = way is not None and isinstance(way.command, JointMove | LegMove | BodyMove | Drive)
+        self.t += float(times[-1]) + (TICK if moves else 0.0)
         self.motors = motors[-1].copy()
         return not any(fault.code == "tip_over" for fault in self.faults)
 
