@@ -336,7 +336,8 @@ class _Foresight:
         kept = belief.planted & self.stance.stands & (standing.loads > 0.0)
         forces[kept] += (belief.forces - np.outer(belief.forces @ up, up))[kept]
         if self._leaving >= 0:
-            forces[self._leaving] += self.stance.held_sideways(self._leaving, standing.loads[self._leaving], self.config.friction)
+            load = float(standing.loads[self._leaving])
+            forces[self._leaving] = self.stance.leaving_force(self._leaving, load, self.config.friction)
         return np.asarray(forces)
 
     def _take(

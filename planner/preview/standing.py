@@ -112,24 +112,27 @@ class Stance:
         """
         up = -self.belief.gravity_in_hex() / GRAVITY
         loads = np.linspace(self._first_loads[leg], 0.0, UNLOADING_POINTS)
-        forces = np.array([load * up + self.held_sideways(leg, float(load), friction) for load in loads])
+        forces = np.array([self.leaving_force(leg, float(load), friction) for load in loads])
         gives = forces @ self._compliance[leg] @ up + drop * loads / max(float(loads[0]), 1e-9)
         return loads, np.maximum.accumulate(gives[0] - gives)
 
-    def held_sideways(self, leg: int, load: float, friction: float) -> Vec3:
-        """Horizontal force of the ground on a wheel whose leg unloads, in the hex frame [N].
+    def leaving_force(self, leg: int, load: float, friction: float) -> Vec3:
+        """Force of the ground on a wheel whose leg unloads, when the springs give it so much load, in the hex frame [N].
 
-        It stood with what the torques told. Its leg would go aside as the load goes; the ground holds it, as long as friction does.
+        It stood with what the torques told, upward too: the springs err. Its leg would go aside as the load goes; the ground holds
+        it, as long as friction does.
         """
         belief = self.belief
-        if not belief.planted[leg] or self._landed[leg] or not belief.forces[leg].any():
-            return np.zeros(3)
-        up = -belief.gravity_in_hex() / GRAVITY
+        up, told = -belief.gravity_in_hex() / GRAVITY, belief.forces[leg]
+        if not belief.planted[leg] or self._landed[leg] or not told @ up > 0.0:
+            return load * up
         across, compliance = horizontal(up), self._compliance[leg]
-        aside = across.T @ compliance @ up * (self._first_loads[leg] - load)
-        force = across.T @ belief.forces[leg] + np.linalg.solve(across.T @ compliance @ across, aside)
-        size = float(np.linalg.norm(force))
-        return np.asarray(across @ force * min(1.0, friction * max(load, 0.0) / max(size, 1e-9)))
+        left = float(np.clip(load / max(float(self._first_loads[leg]), 1e-9), 0.0, None))
+        upward = float(told @ up) * left
+        aside = across.T @ compliance @ up * (told @ up - upward)
+        force = across.T @ told + np.linalg.solve(across.T @ compliance @ across, aside)
+        held = min(1.0, friction * upward / max(float(np.linalg.norm(force)), 1e-9))
+        return np.asarray(upward * up + held * (across @ force))
 
     def bears_at(self, leg: int) -> float:
         """Height in world at which the spring of a wheel that stands, or stood last, begins to bear [m]."""
