@@ -69,10 +69,6 @@ class Stance:
         """under which they are there [N]"""
         self._first_loads = self._loads.copy()
         self._solved: dict[tuple[bytes, ...], Standing] = {}
-        self._forks = np.zeros((LEGS, 3, 3))
-        """of each standing wheel, as it stood first or touched, in world: what it has inclined since, it has rolled"""
-        first = self._at(belief.motors)
-        self._forks = self._forks_in_world([carried.rotation for carried in first.world_from_leg], belief.motors)
         self._landed = np.zeros(LEGS, dtype=bool)
         """wheels that came down since the start"""
         regular = kin.spec.wheel.radius - belief.loads / kin.spec.believed_tyre_stiffness
@@ -82,6 +78,12 @@ class Stance:
         gravity = belief.gravity_in_hex()
         self._compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, gravity)
         self._contacts_in_hex = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
+        self._forks = np.zeros((LEGS, 3, 3))
+        """of each standing wheel, as it stood first or touched, in world: what it has inclined since, it has rolled"""
+        # By how much an axle rolls under a force at its patch, in hex: as far as the wind-up inclines its fork.
+        self._rolls_under = np.array([self._rolling_compliance(leg, gravity) for leg in range(LEGS)])
+        first = self._at(belief.motors)
+        self._forks = self._forks_in_world([carried.rotation for carried in first.world_from_leg], belief.motors)
 
     def lands(self, leg: int, fork_in_world: np.ndarray, axle_in_world: Vec3, ground: float) -> None:
         """A wheel touches ground of a height [m] there, its fork as it is then: from now on it stands, loaded or not."""
@@ -164,6 +166,7 @@ class Stance:
         loads = self._upward(solved.forces, gravity)
         aside, sideways = self._aside(loads)
         # The chassis goes along with axles that roll, and so inclines them: a little less each time.
+        rolled = np.zeros((LEGS, 3))
         for _ in range(ROLLING_PASSES):
             corrected = aside.compose(world_from_unsagged)
             pose = corrected.compose(solved.unsagged_from_sagged)
@@ -171,18 +174,44 @@ class Stance:
                 carried = [corrected.compose(solved.unsagged_from_leg(leg)) for leg in range(LEGS)]
             else:
                 carried = [pose] * LEGS
-            rolled = self._rolled(carried, motors)
+            pushed = sideways + self._pushed(world_from_unsagged.apply(feet) - self._anchors - rolled)
+            rolled = self._rolled(carried, motors, np.outer(loads - self._first_loads, WORLD_UP) + pushed)
             world_from_unsagged = _fit(feet[fitted], (self._anchors + rolled)[fitted])
         forces = pose.rotation.T @ corrected.rotation @ solved.forces.T
-        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, sideways, rolled, solved.status)
+        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, pushed, rolled, solved.status)
 
-    def _rolled(self, carried: list[SE3], motors: Joints) -> Wheels:
-        """By which the axles of standing wheels are beside where they were: a wheel rolls about its patch as its fork inclines."""
+    def _rolling_compliance(self, leg: int, gravity: Vec3) -> np.ndarray:
+        """Shape (3, 3) [m/N]: the axle goes by as much more than the point of its wheel that was lowest as this one rises."""
+        joints = self.belief.joints
+        patch, axle = self.kin.patch_jacobian(leg, joints, gravity), self.kin.leg_jacobian(leg, joints[leg])
+        return np.asarray(((axle - patch) / self.belief.joint_stiffness) @ patch.T)
+
+    def _pushed(self, beside: Wheels) -> Wheels:
+        """Horizontal forces of the ground on wheels that the motors would have so far beside where they stand, in world [N]."""
+        world_from_hex, gravity = self.belief.world_from_hex, self.belief.gravity_in_hex()
+        across = world_from_hex.rotate(horizontal(-gravity / GRAVITY).T).T
+        out = np.zeros((LEGS, 3))
+        for leg in np.flatnonzero(self.stands):
+            compliance = world_from_hex.rotation @ self._compliance[leg] @ world_from_hex.rotation.T
+            out[leg] = -across @ np.linalg.solve(across.T @ compliance @ across, across.T @ beside[leg])
+        return out
+
+    def _rolled(self, carried: list[SE3], motors: Joints, change: Wheels) -> Wheels:
+        """By which the axles of standing wheels are beside where they were: a wheel rolls about its patch as its fork inclines.
+
+        Args:
+            carried: `world_from_leg` of each leg.
+            motors: shape (6, dof) [rad].
+            change: of the forces on the wheels since they stood first, in world, shape (6, 3) [N].
+        """
         if not self._forks.any():
             return np.zeros((LEGS, 3))
         forks = self._forks_in_world([pose.rotation for pose in carried], motors)
         turns = Rotation.from_matrix(forks @ self._forks.transpose(0, 2, 1)).as_rotvec()
+        rotation = self.belief.world_from_hex.rotation
         rolled = np.cross(turns, self.kin.spec.wheel.radius * WORLD_UP)
+        rolled += np.einsum("ij,ljk,lk->li", rotation, self._rolls_under, change @ rotation)
+        rolled[:, 2] = 0.0
         return np.where(self.stands[:, None], rolled, 0.0)
 
     def _forks_in_world(self, carried: list[np.ndarray], motors: Joints) -> np.ndarray:
