@@ -129,6 +129,8 @@ class _Foresight:
         self.t, self.motors = 0.0, belief.motors.copy()
         self._leaving = -1
         """leg whose wheel is being lifted off and may still be held by the ground"""
+        self._wound_besides = np.zeros(self.spec.dof)
+        """of that leg, while it stands: what its encoders show more than its believed torques explain [rad]"""
         self.begins: list[float] = []
         self.faults: list[PreviewFault] = []
         self.rows: list[tuple[float, Joints, SE3, Wheels, float, float]] = []
@@ -214,6 +216,9 @@ class _Foresight:
             way = way.hastened(reached, way.free_times).held(BREAK_HOLD)
             moments.append(moments[-1])
         self._leaving = leg
+        self._wound_besides = np.zeros(self.spec.dof)
+        if self.belief.planted[leg] and np.array_equal(self.motors, self.belief.motors):
+            self._wound_besides = (self.belief.joints - self._joints(self.motors, first))[leg]
         stands = self._take(index, way, way.times, way.motors, moments)
         self._leaving = -1
         return stands
@@ -351,6 +356,9 @@ class _Foresight:
                 continue
             torques = self._torques(q, standing)
             fractions, joints = np.abs(torques / self.spec.torque_limits), q - torques / self.belief.joint_stiffness
+            if self._leaving >= 0:
+                left = standing.loads[self._leaving] / max(float(moments[0].loads[self._leaving]), 1e-9)
+                joints[self._leaving] += left * self._wound_besides
             axles = self.stance.axles(standing, joints) if wheels is None else wheels[k]
             margin = self._margin(standing, joints, axles)
             now = self.t + float(t)
