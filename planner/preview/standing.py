@@ -133,7 +133,9 @@ class Stance:
         upward = float(told @ up) * left
         aside = across.T @ compliance @ up * (told @ up - upward)
         force = across.T @ told + np.linalg.solve(across.T @ compliance @ across, aside)
-        held = min(1.0, friction * upward / max(float(np.linalg.norm(force)), 1e-9))
+        # That it stands shows as much friction as holds it there.
+        grip = max(friction, float(np.linalg.norm(across.T @ told)) / float(told @ up))
+        held = min(1.0, grip * upward / max(float(np.linalg.norm(force)), 1e-9))
         return np.asarray(upward * up + held * (across @ force))
 
     def bears_at(self, leg: int) -> float:
