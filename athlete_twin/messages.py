@@ -27,7 +27,6 @@ from __future__ import annotations
 import json
 import zlib
 from dataclasses import dataclass, field, fields
-from functools import cache
 from typing import Any, ClassVar
 
 import cv2
@@ -346,6 +345,10 @@ class Fault(Message):
 _KINDS: dict[str, type[Message]] = {c.topic: c for c in (CommandSequence, Stop, Telemetry, StereoPair, Receipt, Fault)}
 _COMPACT = json.JSONEncoder(separators=(",", ":"))
 _COMMANDS: dict[str, type] = {c.kind: c for c in (JointMove, LegMove, BodyMove, Drive, ImageRequest, Wait)}
+_NAMES: dict[type, tuple[str, ...]] = {
+    c: tuple(f.name for f in fields(c)) for c in (*_KINDS.values(), *_COMMANDS.values())
+}
+"""of the fields of each"""
 
 
 def encode(message: Message) -> bytes:
@@ -373,14 +376,14 @@ def decode(raw: bytes) -> Message:
 
 def plain(message: Message) -> dict[str, Any]:
     """The message as JSON-ready content, for a log: images become their sizes."""
-    out = {name: _to_plain(getattr(message, name), None) for name in _names(type(message))}
+    out = {name: _to_plain(getattr(message, name), None) for name in _NAMES[type(message)]}
     out["crc32"] = message.crc32
     return out
 
 
 def _body(message: Message) -> bytes:
     blobs: list[bytes] = []
-    content = {name: _to_plain(getattr(message, name), blobs) for name in _names(type(message))}
+    content = {name: _to_plain(getattr(message, name), blobs) for name in _NAMES[type(message)]}
     text = _COMPACT.encode(content).encode()
     parts = [len(text).to_bytes(4, "big"), text]
     for blob in blobs:
@@ -397,12 +400,6 @@ def _split_body(body: bytes) -> tuple[bytes, list[bytes]]:
     return parts[0], parts[1:]
 
 
-@cache
-def _names(kind: type) -> tuple[str, ...]:
-    """Of a dataclass' fields."""
-    return tuple(f.name for f in fields(kind))
-
-
 def _to_plain(value: Any, blobs: list[bytes] | None) -> Any:
     if type(value) in (str, int, float):
         return value
@@ -417,9 +414,9 @@ def _to_plain(value: Any, blobs: list[bytes] | None) -> Any:
             return {"png": len(blobs) - 1}
         return {"array": value.tolist()}
     if isinstance(value, Message):
-        return {"message": value.topic, "fields": {n: _to_plain(getattr(value, n), blobs) for n in _names(type(value))}}
+        return {"message": value.topic, "fields": {n: _to_plain(getattr(value, n), blobs) for n in _NAMES[type(value)]}}
     if isinstance(value, tuple) and value and isinstance(value[0], Command):
-        commands = [{n: _to_plain(getattr(c, n), blobs) for n in _names(type(c))} | {"kind": c.kind} for c in value]
+        commands = [{n: _to_plain(getattr(c, n), blobs) for n in _NAMES[type(c)]} | {"kind": c.kind} for c in value]
         return {"commands": commands}
     if isinstance(value, tuple):
         return {"tuple": list(value)}
