@@ -6,6 +6,7 @@ the legs stay where they are, the queue is empty, and the next sequence starts a
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from dataclasses import dataclass, field
 
@@ -254,7 +255,10 @@ class Executive:
         if spec.ratchet is None:
             return []
         fraction = sensed.torques / spec.torque_limits
-        found = {(int(leg), int(joint)) for leg, joint in np.argwhere(np.abs(fraction) > spec.ratchet)}
+        beyond = np.abs(fraction) > spec.ratchet
+        if not beyond.any():
+            return []
+        found = {(int(leg), int(joint)) for leg, joint in np.argwhere(beyond)}
         events: list[Event] = []
         for leg, joint in sorted(found - self.ratcheted):
             text = (
@@ -274,16 +278,16 @@ class Executive:
         spec = self.kin.spec
         fraction = np.abs(sensed.torques) / spec.torque_limits
         self._fraction += (fraction - self._fraction) * min(1.0, CONTROL_PERIOD / TORQUE_FILTER)
-        worst = np.unravel_index(np.argmax(self._fraction - self._allowed_fraction), self._fraction.shape)
-        leg, joint = int(worst[0]), int(worst[1])
         if (self._fraction > self._allowed_fraction).any():
+            worst = np.unravel_index(np.argmax(self._fraction - self._allowed_fraction), self._fraction.shape)
+            leg, joint = int(worst[0]), int(worst[1])
             raise MoveFailedError(
                 "torque_limit",
                 f"{spec.joint_names[joint]} of leg {leg + 1} at {100 * self._fraction[leg, joint]:.0f} % of its limit, "
                 f"allowed {100 * run.sequence.max_torque_fraction:.0f} %",
                 leg,
             )
-        tilt = float(np.hypot(sensed.attitude_rpy[0], sensed.attitude_rpy[1]))
+        tilt = math.hypot(sensed.attitude_rpy[0], sensed.attitude_rpy[1])
         if tilt > run.sequence.max_tilt:
             raise MoveFailedError(
                 "tilt", f"chassis tilts by {np.rad2deg(tilt):.1f} deg, allowed {np.rad2deg(run.sequence.max_tilt):.1f}"

@@ -349,14 +349,19 @@ class Fault(Message):
 
 
 _KINDS: dict[str, type[Message]] = {c.topic: c for c in (CommandSequence, Stop, Telemetry, StereoPair, Receipt, Fault)}
+_COMPACT = json.JSONEncoder(separators=(",", ":"))
 _COMMANDS: dict[str, type] = {c.kind: c for c in (JointMove, LegMove, BodyMove, Drive, ImageRequest, Wait)}
+_NAMES: dict[type, tuple[str, ...]] = {
+    c: tuple(f.name for f in fields(c)) for c in (*_KINDS.values(), *_COMMANDS.values())
+}
+"""of the fields of each"""
 
 
 def encode(message: Message) -> bytes:
     """The message as bytes: a line of JSON (with topic and crc32), then the images, losslessly compressed (PNG)."""
     body = _body(message)
-    head = json.dumps({"topic": message.topic, "crc32": zlib.crc32(body), "length": len(body)}, separators=(",", ":"))
-    return head.encode() + b"\n" + body
+    head = f'{{"topic":"{message.topic}","crc32":{zlib.crc32(body)},"length":{len(body)}}}\n'
+    return head.encode() + body
 
 
 def decode(raw: bytes) -> Message:
@@ -377,15 +382,15 @@ def decode(raw: bytes) -> Message:
 
 def plain(message: Message) -> dict[str, Any]:
     """The message as JSON-ready content, for a log: images become their sizes."""
-    out = {f.name: _to_plain(getattr(message, f.name), None) for f in fields(message)}
+    out = {name: _to_plain(getattr(message, name), None) for name in _NAMES[type(message)]}
     out["crc32"] = message.crc32
     return out
 
 
 def _body(message: Message) -> bytes:
     blobs: list[bytes] = []
-    content = {f.name: _to_plain(getattr(message, f.name), blobs) for f in fields(message)}
-    text = json.dumps(content, separators=(",", ":")).encode()
+    content = {name: _to_plain(getattr(message, name), blobs) for name in _NAMES[type(message)]}
+    text = _COMPACT.encode(content).encode()
     parts = [len(text).to_bytes(4, "big"), text]
     for blob in blobs:
         parts += [len(blob).to_bytes(4, "big"), blob]
@@ -402,6 +407,8 @@ def _split_body(body: bytes) -> tuple[bytes, list[bytes]]:
 
 
 def _to_plain(value: Any, blobs: list[bytes] | None) -> Any:
+    if type(value) in (str, int, float):
+        return value
     if isinstance(value, np.ndarray):
         if value.dtype in (np.uint8, np.uint16) and value.ndim == 2:
             if blobs is None:
@@ -413,9 +420,9 @@ def _to_plain(value: Any, blobs: list[bytes] | None) -> Any:
             return {"png": len(blobs) - 1}
         return {"array": value.tolist()}
     if isinstance(value, Message):
-        return {"message": value.topic, "fields": {f.name: _to_plain(getattr(value, f.name), blobs) for f in fields(value)}}
+        return {"message": value.topic, "fields": {n: _to_plain(getattr(value, n), blobs) for n in _NAMES[type(value)]}}
     if isinstance(value, tuple) and value and isinstance(value[0], Command):
-        commands = [{f.name: _to_plain(getattr(c, f.name), blobs) for f in fields(c)} | {"kind": c.kind} for c in value]
+        commands = [{n: _to_plain(getattr(c, n), blobs) for n in _NAMES[type(c)]} | {"kind": c.kind} for c in value]
         return {"commands": commands}
     if isinstance(value, tuple):
         return {"tuple": list(value)}

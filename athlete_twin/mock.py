@@ -8,8 +8,7 @@ flat, textured ground without robot or rocks.
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,10 +16,12 @@ import numpy as np
 from athlete_twin.commanded import Commanded
 from athlete_twin.driving import rolling_velocities
 from athlete_twin.executive import CONTROL_PERIOD, Executive
-from athlete_twin.geometry.arrays import Image, Joints, PerLeg, PerLegFlag, RawImage, Vec2, Vec3, Wheels
+from athlete_twin.flat_stance import stand, yawed
+from athlete_twin.geometry.arrays import Image, Joints, PerLeg, RawImage, Vec3, Wheels
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import ImageRequest, Message, StereoPair, Telemetry
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
+from athlete_twin.model.placed_legs import LegChains
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.model.stance import regular_stance
 from athlete_twin.moment import Moment, taken
@@ -32,8 +33,6 @@ TELEMETRY_PERIOD = 1.0
 """while a sequence runs, DESIGN.md [s]"""
 TRACK_PERIOD = 0.5
 """of the recorded motion while a sequence runs [s]"""
-SETTLED = 1e-9
-"""change of the chassis' height and tilt at which the springs balance [m, rad]"""
 EXPOSURE = 0.004
 """of every picture [s]"""
 
@@ -72,6 +71,7 @@ class MockAthlete(Commanded):
         self.spec = spec
         self.on_view: Callable[[ViewTruth], None] | None = None
         self.kin = Kinematics(spec)
+        self._chains = LegChains(self.kin)
         self.executive = Executive(kin=self.kin, setpoint=regular_stance(spec))
         self.t = 0.0
         self.collisions: list[MockCollision] = []
@@ -86,6 +86,7 @@ class MockAthlete(Commanded):
         self._anchors = wheels[:, :2].copy()
         self._loads = np.zeros(LEGS)
         self._held_by: Joints | None = None
+        self._held_fraction = 0.0
         self._world_from_hex = SE3.identity()
         self._settle()
         self._record_track()
@@ -124,11 +125,11 @@ class MockAthlete(Commanded):
     def save(self) -> Moment:
         """This moment: what follows `restore` of it equals what follows now, to the last bit."""
         changing = {name: value for name, value in vars(self).items() if name != "on_view"}
-        return taken(changing, (self.spec, self.kin, *self.track))
+        return taken(changing, (self.spec, self.kin, self._chains, *self.track))
 
     def restore(self, moment: Moment) -> None:
         """Back to a moment that this robot saved, as often as wanted."""
-        vars(self).update(taken(moment, (self.spec, self.kin, *moment["track"])))
+        vars(self).update(taken(moment, (self.spec, self.kin, self._chains, *moment["track"])))
 
     def truth(self) -> MockTruth:
         """What is so now."""
@@ -140,8 +141,8 @@ class MockAthlete(Commanded):
             motors=joints.copy(),
             torques=self._torques(),
             wheel_loads=self._loads.copy(),
-            wheels_in_world=self._world_from_hex.apply(self._wheels_in_hex),
-            com_in_world=self._world_from_hex.apply(self._com_in_hex),
+            wheels_in_world=self._wheels_in_world.copy(),
+            com_in_world=self._com_in_world.copy(),
             phases=tuple(self.executive.phases),
             moving=self.executive.busy,
             peak_torque_fraction=self.peak_torque_fraction,
@@ -157,16 +158,16 @@ class MockAthlete(Commanded):
     def _control_tick(self) -> list[Message]:
         state = self.executive.state
         torques = self._torques()
-        fraction = float((np.abs(torques) / self.spec.torque_limits).max())
-        self.peak_torque_fraction = max(self.peak_torque_fraction, fraction)
+        self.peak_torque_fraction = max(self.peak_torque_fraction, self._held_fraction)
         sensed = Sensed(joints=self.executive.setpoint, torques=torques, attitude_rpy=self._world_from_hex.rpy())
         before = self.executive.setpoint
         events = self.executive.tick(sensed)
         if self.executive.rolling:
             velocities = rolling_velocities(self.kin, self.executive.setpoint, self.executive.wheel_rates)
-            self._anchors = self._anchors + CONTROL_PERIOD * (velocities @ _yawed(self._place_xy_yaw[2]).T)[:, :2]
+            self._anchors = self._anchors + CONTROL_PERIOD * (velocities @ yawed(self._place_xy_yaw[2]).T)[:, :2]
         # By content: the set-points of a restored motion are equal ones, not the same.
-        if self.executive.rolling or not np.array_equal(self.executive.setpoint, before):
+        setpoint = self.executive.setpoint
+        if self.executive.rolling or (setpoint is not before and (setpoint != before).any()):
             self._settle()
         if self.t - self._last_track >= TRACK_PERIOD:
             self._record_track()
@@ -180,35 +181,32 @@ class MockAthlete(Commanded):
 
     def _settle(self) -> None:
         """New chassis pose: height and tilt balance the weight on the springs, planted wheels keep their places."""
-        joints = self.executive.setpoint
-        wheels, com = self.kin.wheels_in_hex(joints), self.kin.com_in_hex(joints)
-        self._wheels_in_hex, self._com_in_hex, self._held_by = wheels, com, None
-        self._height_tilt, self._loads = balance(
-            wheels,
-            com,
-            start=self._height_tilt,
-            radius=self.spec.wheel.radius,
-            stiffness=self.spec.believed_foot_stiffness,
-            weight=self.spec.mass * GRAVITY,
-        )
-        height, roll, pitch = self._height_tilt
-        level_from_hex = _rolled_pitched(roll, pitch)
-        plan = (wheels @ level_from_hex.T)[:, :2]
-        planted = (self._loads > 0.0) & np.array([p == "stance" for p in self.executive.phases])
-        if planted.sum() >= 2:
-            self._place_xy_yaw = fit_plan(plan, self._anchors, planted)
-        x, y, yaw = self._place_xy_yaw
-        self._world_from_hex = SE3(_yawed(yaw) @ level_from_hex, np.array([x, y, height]))
-        here = self._world_from_hex.apply(wheels)[:, :2]
-        self._anchors = np.where(planted[:, None], self._anchors, here)
+        spec = self.spec
+        self._held_by = None
+        self._placed = self._chains.placed(self.executive.setpoint)
+        (
+            self._height_tilt, self._loads, self._place_xy_yaw, self._anchors, rotation, translation, self._wheels_in_world,
+            self._com_in_world,
+        ) = stand(
+            self._placed.wheels,
+            self._placed.com,
+            self._height_tilt,
+            spec.wheel.radius,
+            spec.believed_foot_stiffness,
+            spec.mass * GRAVITY,
+            np.array([phase == "stance" for phase in self.executive.phases]),
+            self._place_xy_yaw,
+            self._anchors,
+        )  # fmt: skip
+        self._world_from_hex = SE3(rotation, translation)
 
     def _torques(self) -> Joints:
         """What holds the legs where they settled last; computed once for each place where somebody asks."""
         if self._held_by is None:
-            up = self._world_from_hex.rotation.T @ np.array([0.0, 0.0, 1.0])
-            contacts = self._wheels_in_hex - self.spec.wheel.radius * up
-            loads = self._loads[:, None] * up
-            self._held_by = self.kin.gravity_torques(self.executive.setpoint, -GRAVITY * up, loads, contacts)
+            up = self._world_from_hex.rotation[2].copy()
+            contacts = self._placed.wheels - self.spec.wheel.radius * up
+            self._held_by = self._chains.held(self._placed, -GRAVITY * up, self._loads[:, None] * up, contacts)
+            self._held_fraction = float((np.abs(self._held_by) / self.spec.torque_limits).max())
         return self._held_by.copy()
 
     def _capture(self, request: ImageRequest) -> list[Message]:
@@ -264,79 +262,6 @@ class MockCollision:
     other: str
     place_in_world: Vec3
     force: float
-
-
-def balance(
-    wheels_in_hex: Wheels, com_in_hex: Vec3, *, start: np.ndarray, radius: float, stiffness: float, weight: float
-) -> tuple[np.ndarray, PerLeg]:
-    """Height, roll and pitch of the chassis on six vertical springs, shape (3,), and the load on each wheel (6,) [N].
-
-    Newton's method for small tilts; a wheel above the ground carries nothing. In plain numbers: it is most of what a tick
-    of the mock costs, and arrays of six cost ten times as much.
-    """
-    height, roll, pitch = (float(v) for v in start)
-    places, (cx, cy, cz) = wheels_in_hex.tolist(), com_in_hex.tolist()
-    loads = [0.0] * LEGS
-    for _ in range(30):
-        cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-        com_x, com_y = cp * cx + sp * (sr * cy + cr * cz), cr * cy - sr * cz
-        lift, about_x, about_y = -weight, 0.0, 0.0
-        # How the three residuals change as the wheels sink with height, roll and pitch, by columns.
-        m = [0.0] * 9
-        for leg, (x, y, z) in enumerate(places):
-            turned = sr * y + cr * z
-            wx, wy, wz = cp * x + sp * turned, cr * y - sr * z, cp * turned - sp * x
-            sink = radius - height - wz
-            load = stiffness * sink if sink > 0.0 else 0.0
-            loads[leg] = load
-            arm_x, arm_y = wx - com_x, wy - com_y
-            lift, about_x, about_y = lift + load, about_x + load * arm_y, about_y - load * arm_x
-            # The weakly held rest keeps a hovering chassis solvable.
-            spring = stiffness if sink > 0.0 else 1e-3 * stiffness
-            for row, lever in enumerate((spring, spring * arm_y, -spring * arm_x)):
-                m[row] -= lever
-                m[3 + row] -= lever * wy
-                m[6 + row] += lever * wx
-        change = _solved(m, (-lift, -about_x, -about_y))
-        largest = max(abs(c) for c in change)
-        scale = min(1.0, 0.05 / max(largest, 1e-12))
-        height, roll, pitch = height + scale * change[0], roll + scale * change[1], pitch + scale * change[2]
-        if scale * largest < SETTLED:
-            break
-    return np.array([height, roll, pitch]), np.array(loads)
-
-
-def _solved(columns: list[float], right: tuple[float, float, float]) -> tuple[float, float, float]:
-    """The solution of A x = right by Cramer's rule; A (3, 3) is given by its columns, one behind the other."""
-    a, b, c = columns[0:3], columns[3:6], columns[6:9]
-
-    def determinant(u: Sequence[float], v: Sequence[float], w: Sequence[float]) -> float:
-        return u[0] * (v[1] * w[2] - v[2] * w[1]) - u[1] * (v[0] * w[2] - v[2] * w[0]) + u[2] * (v[0] * w[1] - v[1] * w[0])
-
-    whole = determinant(a, b, c)
-    return determinant(right, b, c) / whole, determinant(a, right, c) / whole, determinant(a, b, right) / whole
-
-
-def _rolled_pitched(roll: float, pitch: float) -> np.ndarray:
-    """Rotation matrix of `SE3.from_rpy(roll, pitch, 0)`, without SciPy's overhead at every tick."""
-    cr, sr, cp, sp = math.cos(roll), math.sin(roll), math.cos(pitch), math.sin(pitch)
-    return np.array([[cp, sp * sr, sp * cr], [0.0, cr, -sr], [-sp, cp * sr, cp * cr]])
-
-
-def _yawed(yaw: float) -> np.ndarray:
-    """Rotation matrix of `SE3.from_rpy(0, 0, yaw)`."""
-    c, s = math.cos(yaw), math.sin(yaw)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-
-
-def fit_plan(points: np.ndarray, places: np.ndarray, used: PerLegFlag) -> Vec3:
-    """x, y and yaw that bring the used `points` (6, 2) onto their `places` (6, 2), least squares."""
-    p, q = points[used], places[used]
-    p0, q0 = p.mean(axis=0), q.mean(axis=0)
-    dp, dq = p - p0, q - q0
-    yaw = float(np.arctan2(np.sum(dp[:, 0] * dq[:, 1] - dp[:, 1] * dq[:, 0]), np.sum(dp * dq)))
-    shift: Vec2 = q0 - np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]]) @ p0
-    return np.array([shift[0], shift[1], yaw])
 
 
 def ground_picture(rays: np.ndarray, world_from_eye: SE3) -> Image:

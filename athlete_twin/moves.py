@@ -8,6 +8,7 @@ their joints may; straight moves begin and end at their full speed, at most that
 from __future__ import annotations
 
 import copy
+import math
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -18,7 +19,6 @@ import numpy as np
 
 from athlete_twin.errors import KinematicsError
 from athlete_twin.geometry.arrays import Joints, Vec3
-from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, JointMove, LegMove
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from athlete_twin.model.leg_timing import leg_timing
@@ -104,9 +104,10 @@ def copyable(steps: Callable[Arguments, Steps]) -> Callable[Arguments, Move]:
 
 
 def gravity_in_hex(attitude_rpy: Vec3) -> Vec3:
-    """Gravity from the measured roll and pitch [m/s2]."""
-    world_from_hex = SE3.from_rpy(float(attitude_rpy[0]), float(attitude_rpy[1]), 0.0)
-    return np.asarray(world_from_hex.rotation.T @ np.array([0.0, 0.0, -GRAVITY]))
+    """Gravity from the measured roll and pitch [m/s2]: the last row of the rotation matrix, turned round."""
+    roll, pitch = float(attitude_rpy[0]), float(attitude_rpy[1])
+    level = math.cos(pitch)
+    return GRAVITY * np.array([math.sin(pitch), -level * math.sin(roll), -level * math.cos(roll)])
 
 
 def vertical_load(kin: Kinematics, leg: int, sensed: Sensed) -> float:

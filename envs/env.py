@@ -404,10 +404,10 @@ class UplinkEnv(MissionEnv):
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Send what the action says, and wait. An action that cannot be read raises `CommandError` and changes nothing."""
         command = command_of(action, self.drawings, self.cameras)
-        if KINDS[one_of(action, "kind", len(KINDS))] == "stop":
-            return self.step_message(Stop(seq=self._sequences, robot_id=self.drawings.name, t=self.mission.t, reason="action"))
         if command is None:
-            return self.step_message(None)
+            stops = KINDS[one_of(action, "kind", len(KINDS))] == "stop"
+            name, t = self.drawings.name, self.mission.t
+            return self.step_message(Stop(seq=self._sequences, robot_id=name, t=t, reason="action") if stops else None)
         number = self._sequences
         return self.step_message(
             CommandSequence(

@@ -6,6 +6,7 @@ message it sends, so that each lift-off and touch-down is seen.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -152,7 +153,7 @@ def true_margins(spec: RobotSpec, truth: TruthView) -> Margins:
 
 def tilt(world_from_hex: SE3) -> float:
     """Angle between the chassis' and the world's z axis [rad]."""
-    return float(np.arccos(np.clip(world_from_hex.rotation[2, 2], -1.0, 1.0)))
+    return math.acos(min(max(float(world_from_hex.rotation[2, 2]), -1.0), 1.0))
 
 
 def map_error(believed: HeightGrid, true: HeightGrid, path_xy: np.ndarray, *, datum: float) -> Summary:

@@ -213,7 +213,8 @@ def _box(low: float, high: float, shape: tuple[int, ...]) -> gym.spaces.Box:
 def bounded(values: Any, bound: float) -> np.ndarray:
     """Values as float32 within plus and minus a bound: rounded to float32 the bound itself may lie outside a space."""
     limit = np.float32(bound)
-    return np.asarray(np.minimum(np.maximum(np.asarray(values, dtype=np.float32), -limit), limit))
+    single = np.asarray(values, dtype=np.float32)
+    return np.asarray(np.minimum(np.maximum(single, -limit), limit))
 
 
 def _telemetry_bounds(spec: RobotSpec) -> dict[str, tuple[float, tuple[int, ...]]]:

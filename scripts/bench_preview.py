@@ -3,9 +3,9 @@
     python scripts/bench_preview.py [--robots sdm_b t12] [--motions 16] [--faults 200] [--json]
 
 Positions: the twin walks in a rock field, without delay, its ground approving everything. The axles of all six wheels are compared
-with the preview at each half second of each motion: from the chassis as it truly stood at the begin, in the world as the ground
-believes it (its localisation included), and in how far they move (what was wrong about each axle at the begin left out: the preview's own
-error). The moving wheel is where the timing counts.
+with the preview at each half second of each motion, counted from when the robot has the sequence: from the chassis as it truly
+stood at the begin, in the world as the ground believes it (its localisation included), and in how far they move (what was wrong
+about each axle at the begin left out: the preview's own error). The moving wheel is where the timing counts.
 
 False alarms: sequences that the twin, or the mock walking in other directions on flat ground, carried out without a fault.
 

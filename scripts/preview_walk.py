@@ -11,6 +11,7 @@ import numpy as np
 
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.link import DelayedLink, downlink, uplink
+from athlete_twin.messages import encode
 from athlete_twin.model.spec import load_spec
 from athlete_twin.robot import SimulatedRobot, TruthView
 from athlete_twin.world.scenario import load_scenario
@@ -36,7 +37,7 @@ class Foreseen:
     wheels_at_first: np.ndarray
     """true axles at its begin, shape (6, 3) [m]"""
     times: list[float] = field(default_factory=list)
-    """after its begin [s]"""
+    """after it has begun on board [s]"""
     wheels: list[np.ndarray] = field(default_factory=list)
     """true axles then, shape (6, 3) [m]"""
     faults: list[str] = field(default_factory=list)
@@ -97,7 +98,8 @@ class Walk:
                 belief=belief, proposal=proposal, preview=preview, seconds=seconds,
                 world_from_hex=truth.world_from_hex, wheels_at_first=truth.wheels_in_world.copy(),
             )  # fmt: skip
-            self._begun = mission.t
+            # A preview's time runs from when the sequence has come up: its bits have to leave first.
+            self._begun = mission.t + 8.0 * len(encode(proposal.sequence)) / mission.up.config.bandwidth
             mission.answer(Decision(kind="approve"))
             while not (mission.wants_answer or mission.finished or mission.t >= time_limit):
                 mission.advance(time_limit)

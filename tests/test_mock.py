@@ -4,6 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import minimize
 
+from athlete_twin.flat_stance import balance, fit_plan
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import (
     BodyMove,
@@ -18,7 +19,7 @@ from athlete_twin.messages import (
     Telemetry,
     Wait,
 )
-from athlete_twin.mock import MockAthlete, balance, fit_plan, ground_picture
+from athlete_twin.mock import MockAthlete, ground_picture
 from athlete_twin.model.kinematics import GRAVITY
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.stance import stance_wheels_in_hex

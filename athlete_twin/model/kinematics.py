@@ -40,6 +40,11 @@ class Kinematics:
             [[model.joints[model.getJointId(f"joint_leg{leg + 1}_{n}")].idx_q for n in spec.joint_names] for leg in range(LEGS)]
         )
         self._wheel_frames = [model.getFrameId(f"wheel{leg + 1}", pin.FrameType.BODY) for leg in range(LEGS)]
+        chassis = model.inertias[0]
+        pin.centerOfMass(model, self.pin_data, pin.neutral(model))
+        self._moving = float(self.pin_data.mass[0])
+        self.chassis_mass, self.chassis_moment = float(chassis.mass), chassis.mass * np.asarray(chassis.lever)
+        self._top = np.array([0.0, 0.0, spec.top_in_hex])
         self._link_frames = {f.name: i for i, f in enumerate(model.frames) if f.type == pin.FrameType.BODY}
 
     def pin_q(self, joints: Joints) -> np.ndarray:
@@ -54,7 +59,8 @@ class Kinematics:
     def wheels_in_hex(self, joints: Joints) -> Wheels:
         """Axle centres in hex, shape (6, 3) [m]."""
         self._place(joints)
-        return np.array([self.pin_data.oMf[f].translation for f in self._wheel_frames])
+        placed = self.pin_data.oMf
+        return np.array([placed[frame].translation for frame in self._wheel_frames])
 
     def leg_wheel(self, leg: int, q: LegJoints) -> SE3:
         """`hex_from_wheel` of one leg, the others being anywhere."""
@@ -79,10 +85,8 @@ class Kinematics:
             raise KinematicsError(f"payload is {payload_kg} kg, must be 0 or more")
         legs = np.asarray(pin.centerOfMass(self.pin_model, self.pin_data, self.pin_q(joints)))
         # Pinocchio counts what moves; the chassis, which it holds fixed, is added here.
-        chassis, moving = self.pin_model.inertias[0], float(self.pin_data.mass[0])
-        top = np.array([0.0, 0.0, self.spec.top_in_hex])
-        moment = moving * legs + chassis.mass * np.asarray(chassis.lever) + payload_kg * top
-        return np.asarray(moment / (moving + chassis.mass + payload_kg))
+        moment = self._moving * legs + self.chassis_moment + payload_kg * self._top
+        return np.asarray(moment / (self._moving + self.chassis_mass + payload_kg))
 
     def link_poses(self, joints: Joints) -> dict[str, SE3]:
         """`hex_from_link` of every link by its URDF name."""
@@ -101,15 +105,13 @@ class Kinematics:
         """
         q = self.pin_q(joints)
         self.pin_model.gravity.linear = np.asarray(gravity_in_hex, dtype=float)
-        torques = np.asarray(pin.computeGeneralizedGravity(self.pin_model, self.pin_data, q)).copy()
-        pin.computeJointJacobians(self.pin_model, self.pin_data, q)
-        pin.updateFramePlacements(self.pin_model, self.pin_data)
-        arms = contact_in_hex - [self.pin_data.oMf[frame].translation for frame in self._wheel_frames]
-        wrenches = np.concatenate([wheel_forces_in_hex, _crossed(arms, wheel_forces_in_hex)], axis=1)
-        for wrench, frame in zip(wrenches, self._wheel_frames, strict=True):
-            jacobian = pin.getFrameJacobian(self.pin_model, self.pin_data, frame, pin.LOCAL_WORLD_ALIGNED)
-            torques -= jacobian.T @ wrench
-        return np.asarray(torques[self._q_of])
+        torques = np.asarray(pin.computeGeneralizedGravity(self.pin_model, self.pin_data, q))[self._q_of]
+        # The joints' screws at the origin of hex, each against the force on its own leg's wheel and the force's moment there.
+        screws = np.asarray(pin.computeJointJacobians(self.pin_model, self.pin_data, q))[:, self._q_of]
+        moments = _crossed(contact_in_hex, wheel_forces_in_hex)
+        for k in range(3):
+            torques -= screws[k] * wheel_forces_in_hex[:, k, None] + screws[3 + k] * moments[:, k, None]
+        return np.asarray(torques)
 
     def ground_force(self, leg: int, joints: Joints, torques: LegJoints, gravity_in_hex: Vec3) -> Vec3:
         """Force of the ground on one wheel that the leg's torques speak of, in hex [N], least squares.
@@ -119,14 +121,16 @@ class Kinematics:
         q = self.pin_q(joints)
         self.pin_model.gravity.linear = np.asarray(gravity_in_hex, dtype=float)
         gravity = np.asarray(pin.computeGeneralizedGravity(self.pin_model, self.pin_data, q))[self._q_of[leg]]
-        patch = self.patch_jacobian(leg, joints, gravity_in_hex)
+        patch = self._patch(leg, q, gravity_in_hex)
         return np.asarray(np.linalg.lstsq(patch.T, gravity - torques, rcond=None)[0])
 
     def patch_jacobian(self, leg: int, joints: Joints, gravity_in_hex: Vec3) -> np.ndarray:
         """Derivative of the wheel's lowest point, held to its fork, in hex by the leg's joints, shape (3, dof) [m/rad]."""
-        jacobian = pin.computeFrameJacobian(
-            self.pin_model, self.pin_data, self.pin_q(joints), self._wheel_frames[leg], pin.LOCAL_WORLD_ALIGNED
-        )[:, self._q_of[leg]]
+        return self._patch(leg, self.pin_q(joints), gravity_in_hex)
+
+    def _patch(self, leg: int, q: np.ndarray, gravity_in_hex: Vec3) -> np.ndarray:
+        full = pin.computeFrameJacobian(self.pin_model, self.pin_data, q, self._wheel_frames[leg], pin.LOCAL_WORLD_ALIGNED)
+        jacobian = full[:, self._q_of[leg]]
         arm = self.spec.wheel.radius * gravity_in_hex / np.linalg.norm(gravity_in_hex)
         return np.asarray(jacobian[:3] - _crossed(arm, jacobian[3:].T).T)
 
@@ -145,4 +149,6 @@ def _crossed(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """`np.cross` of vectors (..., 3), to the last bit, in less than half of its time: the executive asks at every tick."""
     x, y, z = a[..., 0], a[..., 1], a[..., 2]
     u, v, w = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=-1)
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    out[..., 0], out[..., 1], out[..., 2] = y * w - z * v, z * u - x * w, x * v - y * u
+    return out

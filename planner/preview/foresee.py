@@ -27,7 +27,7 @@ from planner.motion.collision import BodyCollision
 from planner.motion.collision_parts import CollisionConfig
 from planner.preview.preview import Preview, PreviewFault, between
 from planner.preview.standing import WORLD_UP, Stance, Standing
-from planner.preview.ways import BREAK_HOLD, SETTLING_TIME, BadCommandError, Stretch, stretch
+from planner.preview.ways import AIRBORNE_LOAD, BREAK_HOLD, SETTLING_TIME, TICK, BadCommandError, Stretch, stretch
 from planner.sag.sag_model import FootSprings
 from planner.stability.margin import support_margin
 
@@ -52,7 +52,12 @@ class PreviewConfig:
     max_wheel_sink: float = 0.05
     """of a wheel in the air into the believed terrain: what the map errs by [m]"""
 
+    friction: float = 0.5
+    """of a wheel that leaves the ground sideways, a tyre on sand or rock: more holds it longer where its leg is wound up"""
+
     def __post_init__(self) -> None:
+        if not 0.0 <= self.friction < np.inf:
+            raise ConfigError(f"preview: friction is {self.friction}, must be finite and not negative")
         for name in ("part_clearance", "min_margin", "max_wheel_sink"):
             if not 0.0 <= getattr(self, name) < np.inf:
                 raise ConfigError(f"preview: {name} is {getattr(self, name)} m, must be finite and not negative")
@@ -122,6 +127,10 @@ class _Foresight:
         bare = CollisionConfig(part_clearance=config.part_clearance, deviations=0.0, near_ground_clearance=0.0)
         self.body = BodyCollision(kin.spec, terrain, bare)
         self.t, self.motors = 0.0, belief.motors.copy()
+        self._leaving = -1
+        """leg whose wheel is being lifted off and may still be held by the ground"""
+        self._wound_besides = np.zeros(self.spec.dof)
+        """of that leg, while it stands: what its encoders show more than its believed torques explain [rad]"""
         self.begins: list[float] = []
         self.faults: list[PreviewFault] = []
         self.rows: list[tuple[float, Joints, SE3, Wheels, float, float]] = []
@@ -195,17 +204,24 @@ class _Foresight:
             self._go(index, way)
             self._fault("contact_not_broken", index, self.t, leg, text)
             return False
-        # The load falls evenly with the commanded height: it is gone where the place that carried it has come down that far
-        # below where its spring begins to bear ([SunSpiral2012] eq. 12).
-        height, place = self._commanded_height(way, leg), self.kin.leg_wheel(leg, way.motors[0, leg]).translation
-        sunk = self.stance.bears_at(leg) - float(free.world_from_leg[leg].apply(place)[2])
-        share = 1.0 if height[-1] <= 0.0 else float(np.clip(sunk / height[-1], 0.0, 1.0))
-        reached = share * breaks
-        moments = [_mixed(first, free, min(k / max(reached, 1e-9), 1.0)) for k in range(len(way.times))]
+        place = self.kin.leg_wheel(leg, way.motors[0, leg]).translation
+        drop = float((first.world_from_leg[leg].apply(place) - free.world_from_leg[leg].apply(place))[2])
+        loads, lifts = self.stance.unloading(leg, drop, self.config.friction)
+        height = np.maximum.accumulate(self._commanded_height(way, leg))
+        carried = np.interp(height, lifts, loads)
+        free_from = float(np.interp(AIRBORNE_LOAD, loads[::-1], lifts[::-1]))
+        reached = float(np.interp(free_from, height, np.arange(breaks + 1.0)))
+        moments = [_mixed(first, free, 1.0 - load / max(loads[0], 1e-9)) for load in carried]
         if way.free_times is not None:
             way = way.hastened(reached, way.free_times).held(BREAK_HOLD)
             moments.append(moments[-1])
-        return self._take(index, way, way.times, way.motors, moments)
+        self._leaving = leg
+        self._wound_besides = np.zeros(self.spec.dof)
+        if self.belief.planted[leg] and np.array_equal(self.motors, self.belief.motors):
+            self._wound_besides = (self.belief.joints - self._joints(self.motors, first))[leg]
+        stands = self._take(index, way, way.times, way.motors, moments)
+        self._leaving = -1
+        return stands
 
     def _commanded_height(self, way: Stretch, leg: int) -> np.ndarray:
         up = -self.belief.gravity_in_hex() / GRAVITY
@@ -234,7 +250,9 @@ class _Foresight:
             above, under = bottom[k - 1] - ground[k - 1], ground[k] - bottom[k]
             touch = k - 1 + above / max(above + under, 1e-12)
         at_touch = way.cut(touch)
-        self.stance.lands(leg, self._axles_on(at_touch, free, leg)[-1], float(np.interp(touch, np.arange(len(ground)), ground)))
+        fork = free.world_from_leg[leg].rotation @ self.kin.leg_wheel(leg, at_touch.motors[-1, leg]).rotation
+        height = float(np.interp(touch, np.arange(len(ground)), ground))
+        self.stance.lands(leg, fork, self._axles_on(at_touch, free, leg)[-1], height)
         if command.guard == "place":
             end, loaded = float(len(way.times) - 1), self.stance.at(way.motors[-1])
         else:
@@ -327,6 +345,9 @@ class _Foresight:
         forces = np.outer(standing.loads, up)
         kept = belief.planted & self.stance.stands & (standing.loads > 0.0)
         forces[kept] += (belief.forces - np.outer(belief.forces @ up, up))[kept]
+        if self._leaving >= 0:
+            load = float(standing.loads[self._leaving])
+            forces[self._leaving] = self.stance.leaving_force(self._leaving, load, self.config.friction)
         return np.asarray(forces)
 
     def _take(
@@ -340,13 +361,17 @@ class _Foresight:
                 continue
             torques = self._torques(q, standing)
             fractions, joints = np.abs(torques / self.spec.torque_limits), q - torques / self.belief.joint_stiffness
+            if self._leaving >= 0:
+                left = standing.loads[self._leaving] / max(float(moments[0].loads[self._leaving]), 1e-9)
+                joints[self._leaving] += left * self._wound_besides
             axles = self.stance.axles(standing, joints) if wheels is None else wheels[k]
             margin = self._margin(standing, joints, axles)
             now = self.t + float(t)
             self.rows.append((now, joints, standing.world_from_hex, axles, margin, float(fractions.max())))
             if index >= 0:
                 self._judge(index, now, standing, joints, margin, fractions, moving, way)
-        self.t += float(times[-1])
+        moves = way is not None and isinstance(way.command, JointMove | LegMove | BodyMove | Drive)
+        self.t += float(times[-1]) + (TICK if moves else 0.0)
         self.motors = motors[-1].copy()
         return not any(fault.code == "tip_over" for fault in self.faults)
 
@@ -419,5 +444,6 @@ def _mixed(first: Standing, second: Standing, share: float) -> Standing:
         forces=(1.0 - share) * first.forces + share * second.forces,
         loads=(1.0 - share) * first.loads + share * second.loads,
         sideways_in_world=(1.0 - share) * first.sideways_in_world + share * second.sideways_in_world,
+        rolled_in_world=(1.0 - share) * first.rolled_in_world + share * second.rolled_in_world,
         status=second.status if second.status != "converged" else first.status,
     )

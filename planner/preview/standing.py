@@ -19,10 +19,14 @@ from athlete_twin.model.spec import LEGS
 from planner.belief import Belief
 from planner.sag.compensate import stand_on
 from planner.sag.docked import DockedSag, Docks
-from planner.sag.leg_compliance import held_response, patch_compliance
+from planner.sag.leg_compliance import held_response, horizontal, patch_compliance
 from planner.sag.sag_model import AIRBORNE, FootSprings
 
 WORLD_UP = np.array([0.0, 0.0, 1.0])
+UNLOADING_POINTS = 16
+"""between the load of a wheel and none at which its lift-off is looked at"""
+ROLLING_PASSES = 3
+"""of axles that roll as the chassis inclines, and incline it: each pass leaves a tenth of what was left or less"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -39,6 +43,8 @@ class Standing:
     """their vertical part [N]"""
     sideways_in_world: Wheels
     """horizontal forces of the ground on the wheels that came since the start, shape (6, 3) [N]"""
+    rolled_in_world: Wheels
+    """by which the axles of standing wheels have rolled on, a wheel being locked to its fork and that inclined, shape (6, 3) [m]"""
     status: str
     """"converged", or why no such stance is: see `SagSolution.status`"""
 
@@ -72,10 +78,17 @@ class Stance:
         gravity = belief.gravity_in_hex()
         self._compliance = patch_compliance(kin, belief.joints, belief.joint_stiffness, gravity)
         self._contacts_in_hex = kin.wheels_in_hex(belief.joints) + kin.spec.wheel.radius * gravity / GRAVITY
+        self._forks = np.zeros((LEGS, 3, 3))
+        """of each standing wheel, as it stood first or touched, in world: what it has inclined since, it has rolled"""
+        # By how much an axle rolls under a force at its patch, in hex: as far as the wind-up inclines its fork.
+        self._rolls_under = np.array([self._rolling_compliance(leg, gravity) for leg in range(LEGS)])
+        first = self._at(belief.motors)
+        self._forks = self._forks_in_world([carried.rotation for carried in first.world_from_leg], belief.motors)
 
-    def lands(self, leg: int, axle_in_world: Vec3, ground: float) -> None:
-        """A wheel touches ground of a height [m] there: from now on it stands, loaded or not."""
+    def lands(self, leg: int, fork_in_world: np.ndarray, axle_in_world: Vec3, ground: float) -> None:
+        """A wheel touches ground of a height [m] there, its fork as it is then: from now on it stands, loaded or not."""
         self.stands[leg] = True
+        self._forks[leg] = fork_in_world
         self._anchors[leg] = np.append(axle_in_world[:2], ground + self.kin.spec.wheel.radius - self._sink)
         self._landed[leg] = True
         self._axles[leg] = self._anchors[leg]
@@ -88,6 +101,42 @@ class Stance:
     def stays(self, leg: int) -> None:
         """A wheel that was to leave the ground stands where it stood."""
         self.stands[leg] = True
+
+    def unloading(self, leg: int, drop: float, friction: float) -> tuple[np.ndarray, np.ndarray]:
+        """Loads of a wheel that is lifted off, falling to zero, shape (n,) [N], and the commanded heights at which it has them [m].
+
+        Its leg unwinds and its tyre swells as the load goes, in its posture; what it leans on sideways lets go as friction lets it.
+
+        Args:
+            leg: index 0 to 5.
+            drop: by which what carries the leg comes down in all [m].
+            friction: coefficient between wheel and ground.
+        """
+        up = -self.belief.gravity_in_hex() / GRAVITY
+        loads = np.linspace(self._first_loads[leg], 0.0, UNLOADING_POINTS)
+        forces = np.array([self.leaving_force(leg, float(load), friction) for load in loads])
+        gives = forces @ self._compliance[leg] @ up + drop * loads / max(float(loads[0]), 1e-9)
+        return loads, np.maximum.accumulate(gives[0] - gives)
+
+    def leaving_force(self, leg: int, load: float, friction: float) -> Vec3:
+        """Force of the ground on a wheel whose leg unloads, when the springs give it so much load, in the hex frame [N].
+
+        It stood with what the torques told, upward too: the springs err. Its leg would go aside as the load goes; the ground holds
+        it, as long as friction does.
+        """
+        belief = self.belief
+        up, told = -belief.gravity_in_hex() / GRAVITY, belief.forces[leg]
+        if not belief.planted[leg] or self._landed[leg] or not told @ up > 0.0:
+            return load * up
+        across, compliance = horizontal(up), self._compliance[leg]
+        left = float(np.clip(load / max(float(self._first_loads[leg]), 1e-9), 0.0, None))
+        upward = float(told @ up) * left
+        aside = across.T @ compliance @ up * (told @ up - upward)
+        force = across.T @ told + np.linalg.solve(across.T @ compliance @ across, aside)
+        # That it stands shows as much friction as holds it there.
+        grip = max(friction, float(np.linalg.norm(across.T @ told)) / float(told @ up))
+        held = min(1.0, grip * upward / max(float(np.linalg.norm(force)), 1e-9))
+        return np.asarray(upward * up + held * (across @ force))
 
     def bears_at(self, leg: int) -> float:
         """Height in world at which the spring of a wheel that stands, or stood last, begins to bear [m]."""
@@ -111,27 +160,72 @@ class Stance:
         if fitted.sum() < 3:
             pose = self._world_from_unsagged
             still = np.zeros((LEGS, 3))
-            return self._standing(pose, pose, [pose] * LEGS, still, np.zeros(LEGS), still, "too_few_feet")
+            return self._standing(pose, pose, [pose] * LEGS, still, np.zeros(LEGS), still, still, "too_few_feet")
         world_from_unsagged = _fit(feet[fitted], self._anchors[fitted])
         lifts = np.where(fitted, world_from_unsagged.apply(feet)[:, 2] - self._anchors[:, 2], AIRBORNE)
         gravity = -GRAVITY * world_from_unsagged.rotation.T @ WORLD_UP
         solved = self._solve(motors, gravity, lifts)
         loads = self._upward(solved.forces, gravity)
         aside, sideways = self._aside(loads)
-        corrected = aside.compose(world_from_unsagged)
-        pose = corrected.compose(solved.unsagged_from_sagged)
-        if isinstance(solved, DockedSag):
-            carried = [corrected.compose(solved.unsagged_from_leg(leg)) for leg in range(LEGS)]
-        else:
-            carried = [pose] * LEGS
+        # The chassis goes along with axles that roll, and so inclines them: a little less each time.
+        rolled = np.zeros((LEGS, 3))
+        for _ in range(ROLLING_PASSES):
+            corrected = aside.compose(world_from_unsagged)
+            pose = corrected.compose(solved.unsagged_from_sagged)
+            if isinstance(solved, DockedSag):
+                carried = [corrected.compose(solved.unsagged_from_leg(leg)) for leg in range(LEGS)]
+            else:
+                carried = [pose] * LEGS
+            pushed = sideways + self._pushed(world_from_unsagged.apply(feet) - self._anchors - rolled)
+            rolled = self._rolled(carried, motors, np.outer(loads - self._first_loads, WORLD_UP) + pushed)
+            world_from_unsagged = _fit(feet[fitted], (self._anchors + rolled)[fitted])
         forces = pose.rotation.T @ corrected.rotation @ solved.forces.T
-        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, sideways, solved.status)
+        return self._standing(world_from_unsagged, pose, carried, forces.T, loads, pushed, rolled, solved.status)
+
+    def _rolling_compliance(self, leg: int, gravity: Vec3) -> np.ndarray:
+        """Shape (3, 3) [m/N]: the axle goes by as much more than the point of its wheel that was lowest as this one rises."""
+        joints = self.belief.joints
+        patch, axle = self.kin.patch_jacobian(leg, joints, gravity), self.kin.leg_jacobian(leg, joints[leg])
+        return np.asarray(((axle - patch) / self.belief.joint_stiffness) @ patch.T)
+
+    def _pushed(self, beside: Wheels) -> Wheels:
+        """Horizontal forces of the ground on wheels that the motors would have so far beside where they stand, in world [N]."""
+        world_from_hex, gravity = self.belief.world_from_hex, self.belief.gravity_in_hex()
+        across = world_from_hex.rotate(horizontal(-gravity / GRAVITY).T).T
+        out = np.zeros((LEGS, 3))
+        for leg in np.flatnonzero(self.stands):
+            compliance = world_from_hex.rotation @ self._compliance[leg] @ world_from_hex.rotation.T
+            out[leg] = -across @ np.linalg.solve(across.T @ compliance @ across, across.T @ beside[leg])
+        return out
+
+    def _rolled(self, carried: list[SE3], motors: Joints, change: Wheels) -> Wheels:
+        """By which the axles of standing wheels are beside where they were: a wheel rolls about its patch as its fork inclines.
+
+        Args:
+            carried: `world_from_leg` of each leg.
+            motors: shape (6, dof) [rad].
+            change: of the forces on the wheels since they stood first, in world, shape (6, 3) [N].
+        """
+        if not self._forks.any():
+            return np.zeros((LEGS, 3))
+        forks = self._forks_in_world([pose.rotation for pose in carried], motors)
+        turns = Rotation.from_matrix(forks @ self._forks.transpose(0, 2, 1)).as_rotvec()
+        rotation = self.belief.world_from_hex.rotation
+        rolled = np.cross(turns, self.kin.spec.wheel.radius * WORLD_UP)
+        rolled += np.einsum("ij,ljk,lk->li", rotation, self._rolls_under, change @ rotation)
+        rolled[:, 2] = 0.0
+        return np.where(self.stands[:, None], rolled, 0.0)
+
+    def _forks_in_world(self, carried: list[np.ndarray], motors: Joints) -> np.ndarray:
+        """Rotations of the forks, shape (6, 3, 3)."""
+        return np.array([turn @ self.kin.leg_wheel(leg, motors[leg]).rotation for leg, turn in enumerate(carried)])
 
     def axles(self, standing: Standing, joints: Joints) -> Wheels:
         """Axles in world, shape (6, 3) [m]; `joints` behind the wind-up say where the legs in the air are."""
         spec = self.kin.spec
         stiffness = np.where(self._landed, spec.believed_tyre_stiffness, spec.believed_tyre_tangent)
         out = self._axles - np.outer((standing.loads - self._loads) / stiffness, WORLD_UP)
+        out += standing.rolled_in_world
         out -= standing.sideways_in_world / (spec.believed_tyre_stiffness * spec.believed_lateral_ratio)
         in_hex = self.kin.wheels_in_hex(joints)
         for leg in np.flatnonzero(~self.stands | (standing.loads <= 0.0)):
@@ -139,12 +233,14 @@ class Stance:
         return out
 
     def _standing(
-        self, world_from_unsagged: SE3, pose: SE3, carried: list[SE3], forces: Wheels, loads: PerLeg, sideways: Wheels, status: str
-    ) -> Standing:
+        self, world_from_unsagged: SE3, pose: SE3, carried: list[SE3], forces: Wheels, loads: PerLeg, sideways: Wheels,
+        rolled: Wheels, status: str,
+    ) -> Standing:  # fmt: skip
         self._world_from_unsagged = world_from_unsagged
         return Standing(
-            world_from_hex=pose, world_from_leg=tuple(carried), forces=forces, loads=loads, sideways_in_world=sideways, status=status
-        )
+            world_from_hex=pose, world_from_leg=tuple(carried), forces=forces, loads=loads, sideways_in_world=sideways,
+            rolled_in_world=rolled, status=status,
+        )  # fmt: skip
 
     def _solve(self, motors: Joints, gravity: Vec3, lifts: PerLeg):  # type: ignore[no-untyped-def]  # SagSolution | DockedSag
         feet, com = self.kin.wheels_in_hex(motors), self.kin.com_in_hex(motors, self._payload)

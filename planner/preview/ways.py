@@ -26,6 +26,12 @@ MOST_SAMPLES = 200
 """of one command"""
 IMAGING_TIME, SETTLING_TIME, BREAK_HOLD = 0.5, 1.0, 0.5
 """the executive's: of a set of pictures, at the end of a sequence, and after a lift-off until it is sure of it [s]"""
+AIRBORNE_LOAD = 120.0
+"""on a wheel that is lifted off, below which the executive takes it for free and goes faster [N]"""
+TICK = 1.0 / 24.0
+"""of the executive, which takes one to begin a motion and one to find it done [s]"""
+PACES = 4
+"""parts of a piece of a straight way that are paced one by one: the fastest joint changes along it"""
 DRIVE_ACCELERATION, HALT = 0.3, 0.3
 """of the chassis [m/s2], and until it is at rest before the wheels are steered back [s]: the executive's"""
 
@@ -114,14 +120,15 @@ def _swing(spec: RobotSpec, command: JointMove, motors: Joints) -> Stretch:
 
 def _straight_leg(kin: Kinematics, command: LegMove, motors: Joints) -> Stretch:
     way = LegWay.of(kin, command, motors)
-    fractions = np.linspace(0.0, 1.0, 1 + _pieces(way.length, STRAIGHT_SPACING))
+    fractions = np.linspace(0.0, 1.0, 1 + PACES * _pieces(way.length, STRAIGHT_SPACING))
     out = np.repeat(motors[None], len(fractions), axis=0)
     out[:, command.leg] = [way.at(float(f)) for f in fractions]
     speed = (DESCENT_SPEED if command.lands else WHEEL_SPEED) * command.speed_scale
     spans = fractions * way.length / speed
     free, loaded = (_paced(spans, out, r * command.speed_scale) for r in (kin.spec.speed_unloaded, kin.spec.speed_loaded))
     posed = _posed(out[0], motors, kin.spec.speed_loaded * command.speed_scale)
-    free[1:], loaded[1:] = free[1:] + posed, loaded[1:] + posed
+    free[1:], loaded[1:] = free[1:] + posed + TICK, loaded[1:] + posed + TICK
+    free, loaded, out = free[::PACES], loaded[::PACES], out[::PACES]
     if command.guard == "none":
         return Stretch(command=command, times=free, motors=out)
     return Stretch(command=command, times=loaded, motors=out, free_times=free if command.guard == "break_contact" else None)
@@ -131,12 +138,12 @@ def _straight_body(kin: Kinematics, command: BodyMove, motors: Joints) -> Stretc
     way = BodyWay.of(kin, command, motors)
     if way.length == 0.0:
         return Stretch(command=command, times=np.zeros(1), motors=motors[None].copy())
-    fractions = np.linspace(0.0, 1.0, 1 + _pieces(way.length, STRAIGHT_SPACING))
+    fractions = np.linspace(0.0, 1.0, 1 + PACES * _pieces(way.length, STRAIGHT_SPACING))
     out = np.array([way.at(float(f)) for f in fractions])
     rate = kin.spec.speed_loaded * command.speed_scale
     times = _paced(fractions * way.length / WHEEL_SPEED, out, rate)
-    times[1:] += _posed(out[0], motors, rate)
-    return Stretch(command=command, times=times, motors=out)
+    times[1:] += _posed(out[0], motors, rate) + TICK
+    return Stretch(command=command, times=times[::PACES], motors=out[::PACES])
 
 
 def _drive(kin: Kinematics, command: Drive, motors: Joints) -> Stretch:

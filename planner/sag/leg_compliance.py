@@ -96,7 +96,7 @@ def held_response(
         released: forces of the ground on wheels that leave it, which the others take over, shape (6, 3) [N]; none by default.
     """
     up = -gravity_in_hex / np.linalg.norm(gravity_in_hex)
-    across = _horizontal(up)
+    across = horizontal(up)
     # By which chassis motions a foot goes aside in hex: two ways, and a turn about the vertical.
     turns = np.cross(up, contacts_in_hex) @ across
     follows = np.array([np.column_stack([-np.eye(2), -turn]) for turn in turns])
@@ -115,7 +115,7 @@ def held_response(
     return HeldResponse(forces=forces, hex_from_moved=SE3.from_rotvec(motion[2] * up, across @ motion[:2]))
 
 
-def _horizontal(up: Vec3) -> Float[np.ndarray, "3 2"]:
+def horizontal(up: Vec3) -> Float[np.ndarray, "3 2"]:
     """Two unit vectors across `up`, as columns."""
     first = np.cross(up, [0.0, 1.0, 0.0])
     first /= np.linalg.norm(first)

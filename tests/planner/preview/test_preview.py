@@ -26,7 +26,7 @@ from athlete_twin.messages import (
     Wait,
 )
 from athlete_twin.mock import MockAthlete
-from athlete_twin.model.kinematics import kinematics
+from athlete_twin.model.kinematics import GRAVITY, kinematics
 from athlete_twin.model.spec import load_spec
 from athlete_twin.model.straight_moves import WHEEL_SPEED
 from planner.belief import BeliefFilter
@@ -35,12 +35,14 @@ from planner.motion.collision_parts import CollisionConfig
 from planner.perception.localise import WheelFitConfig
 from planner.preview.foresee import PreviewConfig, foresee, known_ground, posing
 from planner.preview.preview import FAULTS
+from planner.preview.standing import Stance
 from planner.preview.ways import SETTLING_TIME, stretch
 from planner.sag.sag_model import FootSprings
 
 FLAT = HeightGrid(origin_x=-6.0, origin_y=-6.0, cell=0.05, heights=np.zeros((241, 241)))
 ROBOTS = ("sdm_b", "t12")
 UP = np.array([0.0, 0.0, 1.0])
+MILLIMETRE = 1e-3
 
 
 @pytest.fixture(params=ROBOTS)
@@ -127,7 +129,11 @@ def test_a_chassis_that_moves_leaves_its_wheels_where_they_are(robot):
     first, last = preview.world_from_hex[0], preview.world_from_hex[-1]
     # Loads go from wheel to wheel, and the springs with them.
     assert np.linalg.norm(last.translation - first.translation - first.rotate(way)) < 0.02
-    assert np.abs(preview.wheels_in_world - preview.wheels_in_world[0])[:, :, :2].max() < 1e-6
+    # Wheels are locked to their forks: by what the chassis tilts on its springs they roll, about patches that stay.
+    radius = robot.spec.wheel.radius
+    tilts = np.array([(pose.rotation @ first.rotation.T)[:2, 2] for pose in preview.world_from_hex])
+    beside = preview.wheels_in_world[:, :, :2] - preview.wheels_in_world[0, :, :2]
+    assert np.abs(beside - radius * tilts[:, None]).max() < 1e-5
     assert preview.duration >= np.linalg.norm(way) / WHEEL_SPEED + SETTLING_TIME - 1e-9
 
 
@@ -296,3 +302,42 @@ def test_any_sequence_that_can_be_sent_has_a_preview(robot):
         assert np.isfinite(preview.wheels_in_world).all() and np.isfinite(preview.times).all()
         assert (np.diff(preview.times) >= 0.0).all() and set(codes(preview)) <= set(FAULTS)
         assert all(fault.text and 0.0 <= fault.t <= preview.duration + 1e-9 for fault in preview.faults)
+
+
+def test_wheels_locked_to_forks_roll_as_these_incline(robot):
+    nod = BodyMove(translation_in_hex=np.array([0.0, 0.0, -0.05]), rotvec_in_hex=np.array([0.0, 0.1, 0.0]))
+    preview = seen(robot, nod)
+    ends = [(preview.world_from_hex[k], preview.joints[k]) for k in (0, -1)]
+    links = [[pose.rotate(robot.kin.leg_wheel(leg, q[leg]).rotation[:, 0]) for leg in range(6)] for pose, q in ends]
+    rolled = (preview.wheels_in_world[-1] - preview.wheels_in_world[0])[:, :2]
+    # A link that hangs points down: where its lower end swings back, the axle above the patch goes forward. Legs that do not give
+    # way, as the mock's, go by the mean of what their wheels would roll.
+    swung = (np.array(links[1]) - np.array(links[0]))[:, :2]
+    assert np.abs(swung).max() > 0.05
+    assert np.abs(rolled.mean(axis=0) + robot.spec.wheel.radius * swung.mean(axis=0)).max() < MILLIMETRE
+    assert np.abs(rolled - rolled.mean(axis=0)).max() < MILLIMETRE
+
+
+@pytest.mark.parametrize("friction", [0.2, 0.8])
+def test_a_wheel_that_leaves_is_held_within_its_friction_and_gives_way_as_its_leg_does(robot, friction):
+    leg, told = 1, robot.belief.forces.copy()
+    told[leg] += [300.0, -200.0, 0.0]
+    stiff = np.full(robot.spec.dof, 4e4)
+    belief = replace(robot.belief, forces=told, joint_stiffness=stiff)
+    stance = Stance(robot.kin, belief, springs=robot.springs)
+    loads, lifts = stance.unloading(leg, 0.05, friction)
+    forces = np.array([stance.leaving_force(leg, float(load), friction) for load in loads])
+    assert forces[0] == pytest.approx(told[leg], rel=1e-9)
+    grip = max(friction, float(np.hypot(*told[leg, :2]) / told[leg, 2]))
+    assert (np.linalg.norm(forces[:, :2], axis=1) <= grip * forces[:, 2] + 1e-6).all()
+    assert (np.diff(loads) < 0.0).all() and (np.diff(lifts) >= 0.0).all() and loads[-1] == lifts[0] == 0.0
+    # In all, the leg rises by what the whole force bent it, and by what came down with it.
+    gravity = np.array([0.0, 0.0, -GRAVITY])
+    jacobian = robot.kin.patch_jacobian(leg, belief.joints, gravity)
+    bent = float((jacobian / stiff @ jacobian.T @ told[leg])[2] + told[leg, 2] / robot.spec.believed_tyre_stiffness)
+    assert lifts[-1] == pytest.approx(0.05 + bent, rel=1e-3)
+
+
+def test_friction_that_is_none_is_refused():
+    with pytest.raises(ConfigError, match=r"friction is -0\.1, must be finite and not negative"):
+        PreviewConfig(friction=-0.1)
