@@ -413,7 +413,7 @@ class Athlete(Commanded):
             seq=self._next("telemetry"),
             robot_id=self.robot_id,
             t=self.t,
-            executive_state=self.executive.state,
+            executive_state=self.executive.told_state,
             sequence_id=self.executive.sequence_id,
             command_index=self.executive.command_index,
             **self._sense().fields(),

@@ -23,11 +23,11 @@ class Commanded(ABC):
 
     def receive(self, message: CommandSequence | Stop) -> list[Message]:
         """Take what came up the link; returns what answers it at once."""
-        return [] if self._deaf() else self._answers(self.executive.accept(message))
+        return [] if self._deaf() else self._answers(self.executive.accept(message, self.t))
 
     def receive_raw(self, raw: bytes) -> list[Message]:
         """Take bytes that came up the link; what is no command for this robot is refused with a receipt, and telemetry behind it."""
-        return [] if self._deaf() else self._answers(self.executive.accept_raw(raw))
+        return [] if self._deaf() else self._answers(self.executive.accept_raw(raw, self.t))
 
     def _deaf(self) -> bool:
         """Whether it hears nothing now."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -87,8 +87,10 @@ class Executive:
     command_index: int = 0
     newest_seq: int = -1
     """highest `seq` of the sequences taken so far"""
+    heard_seq: int = -1
+    """highest `seq` of the sequences heard, those that the queue had no room for among them"""
     stopped_t: float = -np.inf
-    """when the latest stop was made, mission time of its sender [s]"""
+    """when the latest stop was made, mission time of its sender, but not later than it arrived [s]"""
     phases: list[str] = field(default_factory=lambda: ["stance"] * LEGS)
     """per leg "stance", "lift_off", "swing" or "descent", as the executive itself sees it"""
     wheel_rates: PerLeg = field(default_factory=lambda: np.zeros(LEGS))
@@ -112,36 +114,44 @@ class Executive:
         """Whether anything is in execution or waiting."""
         return self._running is not None or bool(self._queue)
 
-    def accept(self, message: CommandSequence | Stop) -> list[Event]:
-        """Take what came up the link."""
+    @property
+    def told_state(self) -> str:
+        """State as telemetry tells it: a sequence that waits is as good as one in execution."""
+        return "executing" if self.busy else self.state
+
+    def accept(self, message: CommandSequence | Stop, t: float = np.inf) -> list[Event]:
+        """Take what came up the link at mission time `t` [s]."""
         if message.robot_id != self.kin.spec.name:
             return [self.refuse("misaddressed", f"the message is for {message.robot_id!r}, this is {self.kin.spec.name}", message)]
         if isinstance(message, Stop):
-            return self._stop(message)
+            # A stop that claims to be of the future shuts the robot no longer than until now.
+            return self._stop(replace(message, t=min(message.t, t)))
         if message.seq <= self.newest_seq:
             cause = "repeated" if message.seq == self.newest_seq else "stale"
             return [self.refuse(cause, f"seq {message.seq} comes after {self.newest_seq}; each sequence counts on", message)]
-        if message.seq > self.newest_seq + LARGEST_SEQ_STEP:
-            text = f"seq {message.seq} is more than {LARGEST_SEQ_STEP} after {self.newest_seq}; no later one could be taken"
+        newest = max(self.newest_seq, self.heard_seq)
+        if message.seq > newest + LARGEST_SEQ_STEP:
+            text = f"seq {message.seq} is more than {LARGEST_SEQ_STEP} after {newest}; no later one could be taken"
             return [self.refuse("stale", text, message)]
         if message.t < self.stopped_t:
             text = f"the sequence was made at {message.t:.3f} s, before the stop of {self.stopped_t:.3f} s that overtook it"
             return [self.refuse("stale", text, message)]
+        self.heard_seq = max(self.heard_seq, message.seq)
         if len(self._queue) >= QUEUE_LIMIT:
             return [self.refuse("queue_full", f"queue is full with {QUEUE_LIMIT} sequences", message)]
         self.newest_seq = message.seq
         self._queue.append(message)
         return [Event(kind="receipt", sequence_id=message.sequence_id, command_index=-1, status="queued")]
 
-    def accept_raw(self, raw: bytes) -> list[Event]:
-        """Take bytes that came up the link: what is no command for this robot is refused."""
+    def accept_raw(self, raw: bytes, t: float = np.inf) -> list[Event]:
+        """Take bytes that came up the link at mission time `t` [s]: what is no command for this robot is refused."""
         try:
             message = decode(raw)
         except MessageError as e:
             return [self.refuse("damaged", str(e))]
         if not isinstance(message, CommandSequence | Stop):
             return [self.refuse("damaged", f"{message.topic} is not for a robot")]
-        return self.accept(message)
+        return self.accept(message, t)
 
     @staticmethod
     def refuse(cause: str, text: str, message: CommandSequence | Stop | None = None) -> Event:

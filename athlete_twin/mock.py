@@ -242,7 +242,7 @@ class MockAthlete(Commanded):
             attitude_rpy=self._world_from_hex.rpy(),
             rates=np.zeros(3),
             acceleration=up,
-            executive_state=self.executive.state,
+            executive_state=self.executive.told_state,
             sequence_id=self.executive.sequence_id,
             command_index=self.executive.command_index,
         )

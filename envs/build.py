@@ -25,6 +25,8 @@ from planner.decisions import GroundAgent, StageTimer, untimed
 if TYPE_CHECKING:
     from planner.config import PlannerConfig
 
+OUTSIDE_STREAM = 7004
+"""of a planner from outside, beside the trial's seed"""
 FLAT_CELL = 0.1
 """of the mock's flat ground [m]"""
 
@@ -81,14 +83,20 @@ def ground_agent(
 
     found, goal_in_world = variant_named(variant), np.array(goal, dtype=float)
     if isinstance(found, OutsidePlanner):
-        agent = found.agent(spec=spec, goal_in_world=goal_in_world, seed=seed, payload_kg=payload_kg, timer=timer)
+        # A seed of its own: the trial's would draw the same ground and the same robot once more.
+        own_seed = int(np.random.SeedSequence([seed, OUTSIDE_STREAM]).generate_state(1)[0])
+        agent = found.agent(spec=spec, goal_in_world=goal_in_world, seed=own_seed, payload_kg=payload_kg, timer=timer)
     else:
         config = _config(found, spec)
         agent = PlanningAgent(spec, config, goal_in_world=goal_in_world, seed=seed, payload_kg=payload_kg, timer=timer)
     eyes = getattr(agent, "eyes", None)
     if isinstance(eyes, Eyes):
         eyes.on_look = on_look
-    return agent
+    if not isinstance(found, OutsidePlanner):
+        return agent
+    from envs.charged import ChargedGround
+
+    return ChargedGround(agent)
 
 
 def check_variant(name: str) -> None:

@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from athlete_twin.errors import ConfigError, PhysicsError
+from athlete_twin.executive import LARGEST_SEQ_STEP
 from athlete_twin.link import DelayedLink, LinkConfig, downlink, uplink
 from athlete_twin.messages import CommandSequence, Stop
 from athlete_twin.model.spec import RobotSpec, load_spec
@@ -45,14 +46,20 @@ if TYPE_CHECKING:
 DEFAULT_DELAY = 5.0
 """one way, when no link is given [s]"""
 Body = Literal["twin", "mock"]
+Link = float | tuple[float | LinkConfig, float | LinkConfig] | None
+"""what an environment takes for its link, see `link_pair`"""
 
 
-def link_pair(link: float | tuple[LinkConfig, LinkConfig] | None) -> tuple[LinkConfig, LinkConfig]:
-    """Up and down: both given, or the defaults with a delay [s]."""
-    if isinstance(link, tuple):
-        return link
-    delay = DEFAULT_DELAY if link is None else float(link)
-    return uplink(delay), downlink(delay)
+def link_pair(link: Link) -> tuple[LinkConfig, LinkConfig]:
+    """Up and down: each a configuration, or the default one with a delay [s]; one delay for both; 5 s where none is given."""
+    sides = tuple(link) if isinstance(link, tuple | list) else (DEFAULT_DELAY if link is None else link,) * 2
+    if len(sides) != 2 or not all(isinstance(side, LinkConfig | int | float) and not isinstance(side, bool) for side in sides):
+        raise ConfigError(f"link is {link!r}, must be seconds one way, or (up, down), each seconds or a LinkConfig")
+    up, down = sides
+    return (
+        up if isinstance(up, LinkConfig) else uplink(float(up)),
+        down if isinstance(down, LinkConfig) else downlink(float(down)),
+    )
 
 
 @dataclass(kw_only=True)
@@ -80,17 +87,17 @@ class MissionEnv(gym.Env[Observation, Action], ABC):
         body: Body,
         *,
         scenario: str | Scenario,
-        link: float | tuple[LinkConfig, LinkConfig] | None,
+        link: Link,
         cameras: tuple[str, ...] | list[str] | None,
         step_s: float,
         time_limit: float | None,
         render_mode: str | None,
         rewards: RewardConfig,
     ) -> None:
-        if not (np.isfinite(step_s) and step_s > 0.0):
-            raise ConfigError(f"step_s is {step_s} s, must be positive")
-        if time_limit is not None and not time_limit > 0.0:
-            raise ConfigError(f"time_limit is {time_limit} s, must be positive")
+        if not (isinstance(step_s, int | float) and np.isfinite(step_s) and step_s > 0.0):
+            raise ConfigError(f"step_s is {step_s!r} s, must be a positive number")
+        if time_limit is not None and not (isinstance(time_limit, int | float) and time_limit > 0.0):
+            raise ConfigError(f"time_limit is {time_limit!r} s, must be a positive number")
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ConfigError(
                 f"render_mode {render_mode!r} is not one of: {', '.join(self.metadata['render_modes'])}, None"
@@ -357,7 +364,7 @@ class UplinkEnv(MissionEnv):
         *,
         body: Body = "twin",
         scenario: str | Scenario = "rock_field",
-        link: float | tuple[LinkConfig, LinkConfig] | None = None,
+        link: Link = None,
         cameras: tuple[str, ...] | list[str] | None = None,
         step_s: float = 1.0,
         time_limit: float | None = None,
@@ -393,6 +400,11 @@ class UplinkEnv(MissionEnv):
         self._view = DownlinkView(self.drawings, self.cameras, self.goal)
         self._sequences = 0
 
+    _sequences: int
+    """of the next sequence"""
+    _stops: int
+    """of the next stop: robots count sequences, and stops apart"""
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -407,7 +419,7 @@ class UplinkEnv(MissionEnv):
         if command is None:
             stops = KINDS[one_of(action, "kind", len(KINDS))] == "stop"
             name, t = self.drawings.name, self.mission.t
-            return self.step_message(Stop(seq=self._sequences, robot_id=name, t=t, reason="action") if stops else None)
+            return self.step_message(Stop(seq=self._stops, robot_id=name, t=t, reason="action") if stops else None)
         number = self._sequences
         return self.step_message(
             CommandSequence(
@@ -423,7 +435,9 @@ class UplinkEnv(MissionEnv):
         if message is not None:
             self.mission.send(message)
         self._inputs.append(message)
-        if message is not None:
+        if isinstance(message, Stop):
+            self._stops = max(self._stops, message.seq) + 1
+        elif message is not None and message.seq < self._sequences + LARGEST_SEQ_STEP:  # the robot takes no wilder one either
             self._sequences = max(self._sequences, message.seq) + 1
         arrived = self.mission.advance(begun + self.step_s, stop_at_downlink=True)
         for down in arrived:
@@ -435,7 +449,12 @@ class UplinkEnv(MissionEnv):
     def _begin(self, seed: int) -> None:
         super()._begin(seed)
         self._view = DownlinkView(self.drawings, self.cameras, self.goal)
-        self._sequences = 0
+        self._sequences = self._stops = 0
+
+    def restore_state(self, state: EpisodeState) -> tuple[Observation, dict[str, Any]]:
+        """As `MissionEnv.restore_state`; nothing has come down since."""
+        observation, info = super().restore_state(state)
+        return observation, info | {"messages": []}
 
     def _input(self, message: CommandSequence | Stop | None) -> Any:
         return self.step_message(message)
@@ -449,7 +468,7 @@ class UplinkEnv(MissionEnv):
             robot = mission.robot.save()
         except PhysicsError:  # a hull touches something: seed and inputs have to do
             return None
-        mine = (self._view, self._score, self._sequences)
+        mine = (self._view, self._score, self._sequences, self._stops)
         return {"robot": mission.robot, "saved": robot, "ours": taken({"mission": vars(mission), "env": mine}, self._lasting())}
 
     def _put_back(self, moment: Moment | None) -> bool:
@@ -458,7 +477,7 @@ class UplinkEnv(MissionEnv):
         self.mission.robot.restore(moment["saved"])
         ours = taken(moment["ours"], self._lasting())
         vars(self.mission).update(ours["mission"])
-        self._view, self._score, self._sequences = ours["env"]
+        self._view, self._score, self._sequences, self._stops = ours["env"]
         return True
 
     def _lasting(self) -> tuple[object, ...]:

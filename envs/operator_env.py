@@ -12,12 +12,11 @@ from typing import Any, cast
 import gymnasium as gym
 import numpy as np
 
-from athlete_twin.link import LinkConfig
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.world.scenario import Scenario
 from envs.action_fields import Action, flags, one_of, units
 from envs.build import ground_agent
-from envs.env import Body, MissionEnv
+from envs.env import Body, Link, MissionEnv
 from envs.rewards import RewardConfig
 from envs.spaces import FAR, NEVER, Observation, bounded
 from envs.variants import variant_named
@@ -83,7 +82,7 @@ class OperatorEnv(MissionEnv):
         body: Body = "twin",
         scenario: str | Scenario = "rock_field",
         variant: str = "integrated",
-        link: float | tuple[LinkConfig, LinkConfig] | None = None,
+        link: Link = None,
         cameras: tuple[str, ...] | list[str] | None = None,
         step_s: float = 1.0,
         time_limit: float | None = None,

@@ -7,7 +7,7 @@ import zlib
 import numpy as np
 import pytest
 
-from athlete_twin.executive import CONTROL_PERIOD, LARGEST_SEQ_STEP, Executive
+from athlete_twin.executive import CONTROL_PERIOD, LARGEST_SEQ_STEP, QUEUE_LIMIT, Executive
 from athlete_twin.messages import (
     LEAST_SPEED_SCALE,
     REFUSALS,
@@ -28,6 +28,7 @@ from athlete_twin.model.kinematics import kinematics
 from athlete_twin.model.spec import LEGS, load_spec
 from athlete_twin.model.stance import regular_stance, stance_wheels_in_hex
 from athlete_twin.moves import Sensed
+from planner.underway import Underway
 
 ROBOTS = ("sdm_b", "t12")
 
@@ -66,6 +67,41 @@ def test_a_wild_number_is_refused_and_the_next_sequence_taken():
     (event,) = e.accept(sequence(Wait(duration=1.0), number=10**30))
     assert (event.status, event.cause) == ("refused", "stale") and "more than 1000 after -1" in event.text
     assert statuses(e.accept(sequence(Wait(duration=1.0), number=0))) == [(0, "queued", "")]
+
+
+def test_a_stop_of_the_future_shuts_the_robot_no_longer_than_until_it_arrived():
+    mock = MockAthlete(load_spec("sdm_b"))
+    mock.advance(2.0)
+    mock.receive(Stop(seq=0, robot_id="sdm_b", t=1e12, reason="a clock gone wild"))
+    mock.receive_raw(encode(Stop(seq=1, robot_id="sdm_b", t=1e15, reason="another")))
+    mock.advance(3.0)
+    answers = mock.receive(CommandSequence(seq=0, robot_id="sdm_b", t=2.5, sequence_id=0, commands=(Wait(duration=1.0),)))
+    assert [(a.status, a.cause) for a in answers if isinstance(a, Receipt)] == [("queued", "")]
+
+
+def test_sequences_that_the_queue_has_no_room_for_count_as_heard():
+    e = executive()
+    for number in range(LARGEST_SEQ_STEP + 100):
+        e.accept(sequence(Wait(duration=1.0), number=number))
+    assert e.newest_seq == QUEUE_LIMIT - 1
+    while e.busy:
+        tick(e)
+    assert statuses(e.accept(sequence(Wait(duration=1.0), number=LARGEST_SEQ_STEP + 100))) == [(LARGEST_SEQ_STEP + 100, "queued", "")]
+
+
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_a_copy_that_is_refused_does_not_tell_of_an_idle_robot(robot):
+    """Both copies arrive at once, before the robot begins: it has the sequence, so it executes."""
+    mock = MockAthlete(load_spec(robot))
+    mock.advance(1.0)
+    message = CommandSequence(seq=0, robot_id=robot, t=1.0, sequence_id=0, commands=(Wait(duration=5.0),))
+    told = [*mock.receive(message), *mock.receive(message)]
+    assert [(m.status, m.cause) for m in told if isinstance(m, Receipt)] == [("queued", ""), ("refused", "repeated")]
+    assert [m.executive_state for m in told if isinstance(m, Telemetry)] == ["executing"]
+    sent = Underway(sequence=message, pairs_awaited=0)
+    for answer in told:
+        sent.take(answer, 6.0)
+    assert sent.outcome == "" and sent.fault is None
 
 
 def test_a_sequence_that_a_stop_overtook_on_the_way_is_refused():

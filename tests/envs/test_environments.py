@@ -1,3 +1,4 @@
+import inspect
 import re
 import subprocess
 import sys
@@ -11,12 +12,12 @@ from gymnasium.utils.env_checker import check_env
 
 import envs  # noqa: F401
 from athlete_twin.errors import ConfigError
-from athlete_twin.messages import CommandSequence, ImageRequest, Receipt, StereoPair, Wait
+from athlete_twin.messages import CommandSequence, ImageRequest, Receipt, StereoPair, Stop, Wait
 from athlete_twin.model.spec import load_spec
 from athlete_twin.world.injected import InjectedFault
 from athlete_twin.world.scenario import load_scenario
 from envs import build
-from envs.env import UplinkEnv
+from envs.env import UplinkEnv, link_pair
 from envs.operator_env import OperatorEnv
 from envs.rewards import RewardConfig, StepTruth, reward_terms
 from envs.spaces import KINDS, NEVER, RECEIPTS, DownlinkView, downlink_space
@@ -151,6 +152,22 @@ def test_steps_count_on_from_a_message_of_ones_own(mock_env):
     assert (101, "queued") in receipts and not any(status == "refused" for _, status in receipts)
 
 
+def test_stops_and_wild_numbers_use_up_none_of_the_sequences_count(mock_env):
+    mock_env.reset(seed=0)
+    stop = mock_env.action_space.sample() | {"kind": np.int64(KINDS.index("stop"))}
+    for _ in range(3):
+        mock_env.step(stop)
+    for wild in (Stop(seq=10**6, robot_id="sdm_b", t=0.0), CommandSequence(seq=10**6, robot_id="sdm_b", t=1e6, sequence_id=7, commands=())):
+        mock_env.unwrapped.step_message(wild)
+    assert mock_env.unwrapped._sequences == 0 and mock_env.unwrapped._stops == 10**6 + 1
+
+
+def test_going_back_to_a_saved_state_tells_that_nothing_has_come_down(mock_env):
+    mock_env.reset(seed=0)
+    _, info = mock_env.unwrapped.restore_state(mock_env.unwrapped.save_state())
+    assert info["messages"] == []
+
+
 def test_a_slot_shows_the_first_exposure_in_whatever_order_a_bracket_comes(mock_env):
     mock_env.reset(seed=1)
     look = CommandSequence(
@@ -212,6 +229,20 @@ def test_same_seed_and_actions_give_the_same_observations():
 def test_wrong_arguments_are_refused(kwargs, said):
     with pytest.raises(ConfigError, match=said):
         gym.make("AthleteTwin/SdmB-Mock-v0", **kwargs)
+
+
+@pytest.mark.parametrize("link", ["fast", (1.0, 2.0, 3.0), (1.0, None), True])
+def test_what_is_no_link_is_refused_by_name(link):
+    with pytest.raises(ConfigError, match=r"^link is .*, must be seconds one way, or \(up, down\)"):
+        inspect.unwrap(link_pair)(link)  # as for a user, whose types nobody enforces
+
+
+def test_a_link_may_be_two_delays():
+    env = gym.make("AthleteTwin/SdmB-Mock-v0", link=(1.0, 2.5))
+    env.reset(seed=0)
+    env.unwrapped.step_message(Stop(seq=0, robot_id="sdm_b", t=0.0))
+    assert [side.delay for side in env.unwrapped.link] == [1.0, 2.5]
+    env.close()
 
 
 def test_a_mock_refuses_faults_that_it_cannot_show():

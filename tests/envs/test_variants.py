@@ -11,14 +11,18 @@ import pytest
 from athlete_twin.assets import assets_root
 from athlete_twin.errors import ConfigError
 from athlete_twin.link import uplink
+from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
 from envs import variants
 from envs.build import check_variant, ground_agent, variant_content
+from envs.charged import ChargedGround
 from envs.origin import changed_since, recorded_origin
 from envs.prepare import Wanted, again, prepared
 from envs.rerun import rerun
 from envs.variants import OutsidePlanner, TomlVariant, variant_named, variant_names
+from planner.agent import SECONDS_PER_PLAN
 from planner.config import CHOICES, OPTIONAL
+from planner.decisions import Proposal
 from planner.eyes import Look
 
 ROBOTS = ("sdm_b", "t12")
@@ -154,7 +158,8 @@ def test_an_unknown_name_is_answered_in_one_line_with_all_that_would_have_worked
 
 def test_a_variant_that_no_robot_could_use_is_refused_by_its_file(tmp_path):
     path = written(tmp_path, 'base = "blind"\ngait = "gallop"\n')
-    with pytest.raises(ConfigError, match=re.escape(f"{path}: variant mine: gait = 'gallop' is not one of reverse_wave, single_steps")):
+    refused = f"{path}: variant mine: gait = 'gallop' is not one of reverse_wave, opposite_pairs, single_steps"
+    with pytest.raises(ConfigError, match=re.escape(refused)):
         check_variant(str(path))
 
 
@@ -209,8 +214,10 @@ def test_module_and_factory_make_a_ground_with_all_that_a_trial_knows(here):
     spec = load_spec("t12")
     for name in ("idle_one:Idle", "idle_one:Shelf.idle"):
         agent = ground_agent(spec, name, goal=(3.0, 1.0), seed=4, payload_kg=10.0, on_look=print)
-        drawn, goal, seed, payload, timer = agent.made_with
-        assert (drawn, goal.tolist(), seed, payload) == (spec, [3.0, 1.0], 4, 10.0)
+        drawn, goal, seed, payload, timer = agent.ground.made_with
+        assert (drawn, goal.tolist(), payload) == (spec, [3.0, 1.0], 10.0)
+        again = ground_agent(spec, name, goal=(3.0, 1.0), seed=4).ground.made_with[2]
+        assert seed == again != 4  # of the trial's, and not the trial's, which draws ground and robot
         with timer("plan"):
             pass
 
@@ -276,7 +283,22 @@ def test_an_agent_of_ones_own_with_our_eyes_tells_of_its_looks(here):
     written(here, OWN, "own_one.py")
     seen: list[Look] = []
     agent = ground_agent(load_spec("sdm_b"), "own_one:make", goal=(3.0, 0.0), seed=0, on_look=seen.append)
-    assert agent.eyes.on_look == seen.append
+    assert agent.ground.eyes.on_look == seen.append
+
+
+def test_a_planner_from_outside_is_charged_by_the_same_table_as_ours(here):
+    """2 s a proposal or uplink, 1 s a stereo pair, whatever it says of itself; more where it says more."""
+    written(here, OWN, "own_two.py")
+    spec = load_spec("sdm_b")
+    agent = ground_agent(spec, "own_two:make", goal=(3.0, 0.0), seed=0)
+    assert isinstance(agent, ChargedGround) and agent.ground_s == 0.0
+    for message in MockAthlete(spec).advance(1.0):
+        agent.observe(message, 1.0)
+    proposal = agent.next(1.0)
+    assert isinstance(proposal, Proposal) and agent.ground_s == SECONDS_PER_PLAN
+    assert agent.next(2.0) is proposal and agent.ground_s == SECONDS_PER_PLAN
+    agent.ground._ground_s = 50.0
+    assert agent.ground_s == 50.0
 
 
 # --- the worked example -------------------------------------------------------------------------------------------------
