@@ -29,8 +29,8 @@ def test_a_walk_over_a_bad_link_does_each_step_once(kind):
     robot, taken = MockAthlete(spec), []
     accept = robot.executive.accept
 
-    def noted(message):
-        events = accept(message)
+    def noted(message, t):
+        events = accept(message, t)
         if isinstance(message, CommandSequence) and events[0].status == "queued":
             taken.append(message.sequence_id)
         return events
