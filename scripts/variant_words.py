@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from variant_export import counted, p_text, share, title_of
 from variant_metrics import Row
+from variant_statistics import FEWEST_PAIRS
 from variant_tables import Comparison, Place, Success, fewest_pairs, successes
 
 
@@ -66,7 +67,7 @@ def needed(c: Comparison) -> str:
     n = c.difference.seeds_needed
     if n is None:
         return "no number of pairs below 100,000"
-    return counted(n, "pair")
+    return f"at least {n} pairs" if n == FEWEST_PAIRS else f"{n} pairs"
 
 
 def _often(found: Success) -> str:
