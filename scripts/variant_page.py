@@ -15,6 +15,7 @@ from variant_figures import Look, delay_figure, looks_of, outcome_figure, succes
 from variant_metrics import BY_NAME, Row, succeeded
 from variant_rows import ERROR, RECOMMENDED
 from variant_spreads import difference_figure, spread_figure, stage_figure
+from variant_statistics import FEWEST_PAIRS
 from variant_tables import Comparison, Place, effects_by_ground, fewest_pairs, successes
 from variant_targets import DELAY, targets
 from variant_words import answer, interval, needed, place_title, rates, undecided
@@ -130,7 +131,7 @@ def _answers(study: Study) -> str:
     against = f"Variants are held against <b>{base}</b>; a difference is the variant's figure less {base}'s. " if study.compared else ""
     for partner in (html.escape(p) for p in partners if p != study.variants[0]):
         against += f"Those that differ from {partner} in one stage are held against {partner}. "
-    level = "Significant means at 5 % after Holm's correction over the metrics."
+    level = "Significant means at 5 % after Holm's correction over the metrics, computing times by themselves."
     return f"<section><h2>The answer</h2><p>{against}{level}</p>{first}{folded}</section>"
 
 
@@ -260,20 +261,26 @@ def _method(study: Study) -> str:
     if not metrics:
         return ""
     only = ", ".join(m.title for m in metrics if m.reached_only)
+    family = sum(not m.timing for m in metrics)
     notes = [
         "Trials of one case are a pair: the same ground, noise and delay under two variants. Robots are never pooled, nor are delays; "
         "scenarios of one robot are, except where they are named.",
         "A p-value is the chance that flipping signs within the pairs at random makes a mean as far from zero (for success that is "
-        f"McNemar's exact test). Holm's correction runs over {len(metrics)} metrics of one variant on one robot at one delay, as far "
-        f"as they were measured; so many need {fewest_pairs(len(metrics))} pairs before anything can be significant. Intervals are not "
+        f"McNemar's exact test). Holm's correction runs over {counted(family, 'metric')} of one variant on one robot at one delay, as far "
+        f"as they were measured; so many need {fewest_pairs(max(family, 1))} pairs before anything can be significant. Computing times "
+        "are corrected by themselves: they change with the machine's load, which is to change nothing else. Intervals are not "
         "corrected, and those of rates are too narrow where few pairs differ: the p-value decides.",
         "The pairs that would be needed are those with which a paired t-test finds the effect seen at 5 % in 80 of 100 repetitions, by "
-        "itself: among many metrics it takes more. The effect is a mean over the standard deviation of the differences (d_z).",
+        f"itself: among many metrics it takes more. {FEWEST_PAIRS} are the least with which flipped signs reach 5 %. The "
+        "effect is a mean over the standard deviation of the differences (d_z).",
         "What could not be measured is left out in pairs and shown as a dash, never as zero. A trial that could not be run did not "
         "succeed.",
     ]
     if only:
-        notes.append(f"Compared only over pairs in which both succeeded: {only}. Who falls early is soon done.")
+        notes.append(
+            f"Compared only over pairs in which both succeeded: {only}. Who falls early is soon done, and who stands still strikes "
+            "nothing. Totals and medians in the tables are of all trials unless they say otherwise."
+        )
     return f"<section><h2>How this was reckoned</h2>{_list(notes)}</section>"
 
 

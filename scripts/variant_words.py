@@ -78,15 +78,19 @@ def _often(found: Success) -> str:
 def _against(variant: str, partner: str, mine: list[Comparison], *, met: bool) -> list[str]:
     if not mine:
         return [f"{variant} and {partner} share no case: nothing is compared." if met else f"{variant}: {partner} was not run here."]
-    tested = [c for c in mine if c.difference.pairs]
+    measured = [c for c in mine if c.difference.pairs]
+    tested = [c for c in measured if not c.metric.timing]
     said = [_success(c) for c in tested if c.metric.name == "success"]
     significant = [c for c in tested if c.significant and c.metric.name != "success"]
+    timed = [c for c in measured if c.significant and c.metric.timing]
     if significant:
-        said.append("significant: " + "; ".join(f"{c.metric.title} {_side(c)} ({_evidence(c)})" for c in significant))
+        said.append(f"significant: {_listed(significant)}")
     elif any(c.metric.name != "success" for c in tested):
         said.append("no other figure differs significantly")
+    if timed:
+        said.append(f"significant among computing times, as measured here: {_listed(timed)}")
     most, least = max((c.difference.pairs for c in tested), default=0), fewest_pairs(max(len(tested), 1))
-    if most < least:
+    if tested and most < least:
         pairs, metrics = counted(most, "pair"), counted(len(tested), "metric")
         said.append(f"with {pairs} nothing can be significant among {metrics}, that takes {least} pairs or more")
     if mine[0].unpaired:
@@ -101,6 +105,10 @@ def _success(c: Comparison) -> str:
     if c.difference.mean == 0.0:
         return f"succeeds as often in {counted(c.difference.pairs, 'pair')}"
     return f"success not significantly {_side(c)} ({_evidence(c)}; showing this difference would take {needed(c)})"
+
+
+def _listed(compared: Sequence[Comparison]) -> str:
+    return "; ".join(f"{c.metric.title} {_side(c)} ({_evidence(c)})" for c in compared)
 
 
 def _side(c: Comparison) -> str:

@@ -87,6 +87,39 @@ def test_mission_time_is_compared_only_where_both_succeeded(rows, compared):
     assert 0 < len(both) < 16 and found.difference.pairs == len(both) and found.difference.missing == 16 - len(both)
 
 
+def test_who_stands_still_is_significantly_better_in_nothing(tables, metrics):
+    """What a robot that never starts would show: nothing struck, no torque, all margins, no error."""
+    still = {
+        "outcome": "no_step", "progress_m": 0.0, "collisions": 0, "faults": 0, "peak_torque_fraction": 0.1, "min_support_margin_m": 0.9,
+        "min_cps_margin_m": 0.9, "min_tip_over_energy_m": 0.9, "map_error_m": {"median": 0.0}, "localisation_error_m": {"mean": 0.0},
+        "command_cycles": 1, "mission_time_s": 10.0, "sag_error_m": None, "touchdown_error_m": None, "stage_times_s": {},
+        "wall_time_s": 1.0,
+    }  # fmt: skip
+    walks = [made_up.walked("t12", "rock_field", seed, 5.0, "a", share=2.0) | {"collisions": 3, "faults": 1} for seed in range(20)]
+    rows = walks + [row | {"variant": "b", "folder": "b", **still} for row in walks]
+    found = tables.comparisons(rows, tables.Place(robot="t12", delay_s=5.0))
+    assert only(found, "b", "success").significant and not any(c.better for c in found if c.significant)
+    # Who walks and strikes less is better all the same.
+    rows = walks + [row | {"variant": "b", "folder": "b", "collisions": 1} for row in walks]
+    found = only(tables.comparisons(rows, tables.Place(robot="t12", delay_s=5.0)), "b", "collisions")
+    assert found.significant and found.better and found.difference.pairs == 20
+
+
+def test_other_timings_change_only_what_is_said_of_timings(rows, compared, tables):
+    timed = [
+        r | {"wall_time_s": 9.0 * i, "stage_times_s": {"plan": {"median": 1.0 + i % 2, "p95": 2.0 + i, "count": 1}}}
+        for i, r in enumerate(rows)
+    ]
+    again = tables.comparisons(timed, tables.Place(robot="sdm_b", delay_s=5.0))
+    others = [c for c in compared if not c.metric.timing]
+    assert {c.metric.name for c in compared if c.metric.timing} == {
+        "stage_times_s.plan.median", "stage_times_s.plan.p95", "wall_time_s"
+    }  # fmt: skip
+    # By their text, for NaN is not equal to itself.
+    assert others and [repr(c) for c in again if not c.metric.timing] == [repr(c) for c in others]
+    assert [c.p_holm for c in again if c.metric.timing] != [c.p_holm for c in compared if c.metric.timing]
+
+
 def test_success_is_judged_by_mcnemars_exact_test(tables, metrics):
     rows = []
     for seed in range(14):
@@ -102,7 +135,7 @@ def test_success_is_judged_by_mcnemars_exact_test(tables, metrics):
 def test_holm_runs_over_the_metrics_that_were_measured(rows, compared, tables, metrics):
     place = tables.Place(robot="sdm_b", delay_s=5.0)
     found = [c for c in compared if c.variant == "blind"]
-    tested = [c for c in found if c.difference.pairs]
+    tested = [c for c in found if c.difference.pairs and not c.metric.timing]
     p = sorted(c.difference.p for c in tested)
     first = min(tested, key=lambda c: c.difference.p)
     assert first.p_holm == pytest.approx(min(len(tested) * p[0], 1.0))
@@ -111,7 +144,7 @@ def test_holm_runs_over_the_metrics_that_were_measured(rows, compared, tables, m
     empty = [r | {"min_cps_margin_m": None} for r in rows if r["variant"] in ("integrated", "blind")]
     fewer = [c for c in tables.comparisons(empty, place) if c.variant == "blind"]
     assert np.isnan(only(fewer, "blind", "min_cps_margin_m").p_holm)
-    assert min(c.p_holm for c in fewer if c.difference.pairs) == pytest.approx((len(tested) - 1) * p[0])
+    assert min(c.p_holm for c in fewer if c.difference.pairs and not c.metric.timing) == pytest.approx((len(tested) - 1) * p[0])
 
 
 def test_a_figure_does_not_depend_on_which_others_are_asked_for(rows, compared, tables, metrics):
