@@ -97,13 +97,29 @@ SUCCESS = BY_NAME["success"]
 def succeeded(row: Row) -> bool:
     """Whether the trial reached its goal, or walked all the gait cycles to which its case caps the way.
 
-    Who ends with `cycles_done` after as many as the scenario allows at all was not capped and did not arrive. A trial that could
-    not be run (outcome `error`) did not succeed: a variant that breaks its program reaches no goal either.
+    A trial that could not be run (outcome `error`) did not succeed: a variant that breaks its program reaches no goal either.
+    """
+    return bool(row["outcome"] == "goal_reached") or cut_short(row)
+
+
+def cut_short(row: Row) -> bool:
+    """Whether the trial walked all the gait cycles to which its case caps the way, so that nobody knows where it would have come.
+
+    Who ends with `cycles_done` after as many as the scenario allows at all was not capped and did not arrive. The row says which it
+    was; of a row that does not, the scenario as this machine has it.
     """
     if row["outcome"] != "cycles_done":
-        return bool(row["outcome"] == "goal_reached")
-    walked, allowed = row["gait_cycles"], ground_of(row["scenario"]).cycles
+        return False
+    if row.get("capped") is not None:
+        return bool(row["capped"])
+    walked, allowed = limit_of(row), ground_of(row["scenario"]).cycles
     return walked is None or allowed is None or walked < allowed
+
+
+def limit_of(row: Row) -> int | None:
+    """Gait cycles to which a trial that ended with `cycles_done` was limited; None where the row does not say."""
+    cycles: int | None = row["gait_cycles"] if row.get("cycles") is None else row["cycles"]
+    return cycles
 
 
 def metrics_named(names: Sequence[str] | None) -> tuple[Metric, ...]:
