@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from report_style import image
 from variant_details import compared_table, films_section, provenance_footer, reasons_table, stage_table, trials_section
-from variant_export import counted, median_of, p_value, share, title_of
+from variant_export import counted, median_cell, p_value, share, title_of, total_cell
 from variant_figures import Look, delay_figure, looks_of, outcome_figure, success_figure, time_figure
 from variant_metrics import BY_NAME, Row, succeeded
 from variant_rows import ERROR, RECOMMENDED
@@ -87,7 +87,8 @@ def body(study: Study) -> str:
         _gallery(
             study,
             "How trials spread",
-            "A dot a trial, boxes are quartiles, whiskers 5 and 95 %. All trials, failed ones too. The red line is a joint's limit.",
+            "A dot a trial, boxes are quartiles, whiskers 5 and 95 %; numbers count the trials. All trials, failed ones too. The red line "
+            "is a joint's limit.",
             lambda p: spread_figure(rows, p, looks, draws=np.random.default_rng(JITTER)),
         ),
         _gallery(
@@ -128,7 +129,10 @@ def _answers(study: Study) -> str:
     rest = "".join(_answer(study, p) for p in study.places if not study.shown_first(p))
     folded = f"<details><summary>The same at other delays</summary>{rest}</details>" if rest else ""
     base, partners = html.escape(study.variants[0]), dict.fromkeys(study.partners.values())
-    against = f"Variants are held against <b>{base}</b>; a difference is the variant's figure less {base}'s. " if study.compared else ""
+    against = ""
+    if study.partners:
+        chosen = "as asked for" if study.baseline is not None else "the first variant of results.jsonl"
+        against = f"The baseline is <b>{base}</b>, {chosen}: variants are held against it, a difference is their figure less {base}'s. "
     for partner in (html.escape(p) for p in partners if p != study.variants[0]):
         against += f"Those that differ from {partner} in one stage are held against {partner}. "
     level = "Significant means at 5 % after Holm's correction over the metrics, computing times by themselves."
@@ -148,15 +152,19 @@ def _answer(study: Study, place: Place) -> str:
             share(r),
             "" if c is None else interval(c),
             "" if c is None else p_value(c.p_holm),
-            *(BY_NAME[name].shown(median_of(mine, BY_NAME[name])) for name in ("progress_m", "peak_torque_fraction")),
-            *(BY_NAME[name].shown(median_of(well, BY_NAME[name])) for name in ("mission_time_s", "command_cycles")),
+            *(median_cell(mine, BY_NAME[name]) for name in ("progress_m", "peak_torque_fraction")),
+            *(median_cell(well, BY_NAME[name]) for name in ("mission_time_s", "command_cycles")),
+            *(total_cell(mine, BY_NAME[name]) for name in ("collisions", "faults")),
         )
         cells = "".join(f'<td class="n">{html.escape(v)}</td>' for v in figures)
         lines.append(f"<tr><td>{_named(study, found.variant)}</td>{cells}</tr>")
     head = "".join(
         f'<th class="n">{t}</th>'
-        for t in ("succeeded", "95 % interval", "difference", "p (Holm)", "progress", "peak torque", "mission time*", "command cycles*")
-    )
+        for t in (
+            "succeeded", "95 % interval", "difference", "p (Holm)", "progress", "peak torque", "mission time*", "command cycles*",
+            "collisions", "faults",
+        )
+    )  # fmt: skip
     alone = ["Nothing to hold against each other: one variant only."] if not study.partners else []
     against = answer(study.rows, place, study.partners, study.compared)
     said = _list([rates(study.rows, place, study.variants), *alone, *against])
@@ -166,7 +174,7 @@ def _answer(study: Study, place: Place) -> str:
     return (
         f'<h3>{html.escape(place_title(place))}</h3><div class="scroll"><table class="wrap"><tr><th>variant</th>{head}</tr>'
         f"{''.join(lines)}</table></div>"
-        f'<p class="small">Medians; * of trials that succeeded.</p>{said}'
+        f'<p class="small">Medians, collisions and faults in all, each of the trials that measured it; * of those that succeeded.</p>{said}'
     )
 
 
@@ -252,7 +260,10 @@ def _delays(study: Study) -> str:
             out.append(f"<figure><figcaption>{title}</figcaption>{image(f'Over the delay: {title_of(robot)}', data)}</figure>")
     if not out:
         return ""
-    text = "Mission time is the median of the trials that succeeded; lines upright are Wilson's 95 % intervals."
+    text = (
+        "Mission time is the median of the trials that succeeded, as many as the answer's tables say; lines upright are Wilson's 95 % "
+        "intervals."
+    )
     return f'<section><h2>Over the delay</h2><p>{text}</p><div class="pair">{"".join(out)}</div></section>'
 
 

@@ -47,7 +47,7 @@ def undecided(place: Place, partners: dict[str, str], compared: Sequence[Compari
         rest = [c for c in mine if c.difference.pairs and not c.significant and c.metric.name != "success"]
         if rest:
             listed = ", ".join(f"{c.metric.title} ({needed(c) if c.difference.mean else 'alike'})" for c in rest)
-            out.append(f"{pair}, in brackets what would show the difference seen: {listed}.")
+            out.append(f"{pair}, in brackets what would show the difference seen, by itself: {listed}.")
         untested = [c.metric.title for c in mine if not c.difference.pairs]
         if untested:
             out.append(f"{pair}, nothing to compare: {', '.join(untested)}.")
@@ -104,7 +104,7 @@ def _success(c: Comparison) -> str:
         return f"succeeds significantly {'more' if c.better else 'less'} often ({_evidence(c)})"
     if c.difference.mean == 0.0:
         return f"succeeds as often in {counted(c.difference.pairs, 'pair')}"
-    return f"success not significantly {_side(c)} ({_evidence(c)}; showing this difference would take {needed(c)})"
+    return f"success not significantly {_side(c)} ({_evidence(c)}; showing this difference by itself would take {needed(c)})"
 
 
 def _listed(compared: Sequence[Comparison]) -> str:
