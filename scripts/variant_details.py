@@ -152,7 +152,7 @@ def _figures(c: Comparison) -> tuple[str, ...]:
 
 
 def _two(seconds: tuple[float, float, int] | None) -> str:
-    return f"{seconds[0]:.2f}, {seconds[1]:.2f}" if seconds else "–"
+    return f"{seconds[0]:.2f}, {seconds[1]:.2f} of {counted(seconds[2], 'trial')}" if seconds else "–"
 
 
 def _outcome(row: Row) -> str:

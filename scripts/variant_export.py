@@ -19,7 +19,7 @@ from variant_tables import Comparison, Place, successes
 TITLES = {"sdm_b": "SDM-B", "t12": "T12"}
 HEAD = (
     "robot", "delay [s]", "variant", "trials", "succeeded", "95 % interval", "difference", "from", "p (Holm)", "tipped over", "collisions",
-    "other outcomes", "median progress [m]", "median mission time [min]*", "median command cycles*",
+    "faults", "other outcomes", "median progress [m]", "median mission time [min]*", "median command cycles*",
 )  # fmt: skip
 
 
@@ -64,7 +64,8 @@ def markdown(rows: list[Row], places: Sequence[Place], variants: Sequence[str], 
             if mine:
                 cells = _cells(place, found.variant, found.rate, mine, tested.get(found.variant))
                 lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join([*lines, "", "\\* of the trials that succeeded."]) + "\n"
+    notes = f"Baseline: {cell(variants[0])}. Medians and totals say of how many trials they are; \\* of those that succeeded."
+    return "\n".join([*lines, "", notes]) + "\n"
 
 
 def share(found: Rate) -> str:
@@ -97,8 +98,25 @@ def title_of(robot: str) -> str:
 
 def median_of(rows: Iterable[Row], metric: Metric) -> float | None:
     """Median of a metric as measured; None of nothing."""
-    values = [v for v in (metric.read(row) for row in rows) if v is not None]
+    values = measured_of(rows, metric)
     return median(values) if values else None
+
+
+def measured_of(rows: Iterable[Row], metric: Metric) -> list[float]:
+    """A metric of the trials in which it was measured."""
+    return [v for v in (metric.read(row) for row in rows) if v is not None]
+
+
+def median_cell(rows: Sequence[Row], metric: Metric, *, unit: bool = True) -> str:
+    """Median of a metric with the number of trials it is of; a dash of none."""
+    value, n = median_of(rows, metric), len(measured_of(rows, metric))
+    return f"{metric.shown(value) if unit else metric.number(value)} of {counted(n, 'trial')}" if value is not None else "–"
+
+
+def total_cell(rows: Sequence[Row], metric: Metric) -> str:
+    """Sum of what is counted with the number of trials it is of; a dash of none."""
+    values = measured_of(rows, metric)
+    return f"{sum(values):.0f} in {counted(len(values), 'trial')}" if values else "–"
 
 
 def cell(text: str) -> str:
@@ -109,11 +127,9 @@ def cell(text: str) -> str:
 def _cells(place: Place, variant: str, found: Rate, mine: list[Row], tested: Comparison | None) -> list[str]:
     well = [r for r in mine if succeeded(r)]
     others = Counter(r["outcome"] for r in mine if not succeeded(r) and r["outcome"] != "tip_over")
-    hits = [v for v in (BY_NAME["collisions"].read(r) for r in mine) if v is not None]
 
     def middle(rows: list[Row], name: str) -> str:
-        value = median_of(rows, BY_NAME[name])
-        return "–" if value is None else BY_NAME[name].number(value)
+        return median_cell(rows, BY_NAME[name], unit=False)
 
     difference = partner = p = "–"
     if tested is not None:
@@ -123,7 +139,8 @@ def _cells(place: Place, variant: str, found: Rate, mine: list[Row], tested: Com
         difference, p = f"{SUCCESS.number(d.mean, sign=True)} points{interval}", p_value(tested.p_holm)
     return [
         cell(place.robot), f"{place.delay_s:g}", cell(variant), str(found.trials), str(found.successes), share(found),
-        difference, partner, p, str(sum(r["outcome"] == "tip_over" for r in mine)), f"{sum(hits):.0f}" if hits else "–",
+        difference, partner, p, str(sum(r["outcome"] == "tip_over" for r in mine)),
+        *(total_cell(mine, BY_NAME[name]) for name in ("collisions", "faults")),
         ", ".join(f"{n} {cell(name)}" for name, n in sorted(others.items())) or "none",
         middle(mine, "progress_m"), middle(well, "mission_time_s"), middle(well, "command_cycles"),
     ]  # fmt: skip

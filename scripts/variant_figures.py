@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from report_style import BIN_COLOURS, INK, MUTED, png, subplots
 from variant_export import counted, median_of
+from variant_fields import PARTS
 from variant_metrics import BY_NAME, Row, succeeded
-from variant_rows import PARTS
 from variant_tables import Place, grounds_of, places_of, successes
 
 COLOURS = (

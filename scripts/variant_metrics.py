@@ -35,7 +35,10 @@ class Metric:
     digits: int = 2
     """behind the point, in `unit`"""
     reached_only: bool = False
-    """compared only over pairs in which both trials succeeded: it grows with the way walked, and who falls early has little of it"""
+    """compared only over pairs in which both trials succeeded: it grows with the way walked, or is the extreme of it, so that who
+    falls early or never starts has little of it"""
+    timing: bool = False
+    """measured on the machine at hand: corrected apart, so that another load of it changes nothing of what else is significant"""
 
     def read(self, row: Row) -> float | None:
         """Its value in SI units; None where it was not measured."""
@@ -70,19 +73,21 @@ METRICS = (
     Metric(name="progress_m", title="progress", better="more", unit="m"),
     Metric(name="mission_time_s", title="mission time", better="less", unit="min", scale=1 / 60, digits=1, reached_only=True),
     Metric(name="command_cycles", title="command cycles", better="less", digits=1, reached_only=True),
-    Metric(name="collisions", title="collisions", better="less", digits=1),
-    Metric(name="faults", title="faults", better="less", digits=1),
+    Metric(name="collisions", title="collisions", better="less", digits=1, reached_only=True),
+    Metric(name="faults", title="faults", better="less", digits=1, reached_only=True),
     Metric(name="sag_error_m.mean", title="sag error", better="less", unit="mm", scale=1000.0, digits=1),
     Metric(name="touchdown_error_m.mean", title="touch-down error", better="less", unit="mm", scale=1000.0, digits=1),
-    Metric(name="map_error_m.median", title="map error", better="less", unit="mm", scale=1000.0, digits=1),
-    Metric(name="localisation_error_m.mean", title="localisation error", better="less", unit="mm", scale=1000.0, digits=1),
-    Metric(name="peak_torque_fraction", title="peak torque", better="less", unit="%", scale=100.0, digits=1),
-    Metric(name="min_support_margin_m", title="least support margin", better="more", unit="m"),
-    Metric(name="min_cps_margin_m", title="least CPS margin", better="more", unit="m"),
-    Metric(name="min_tip_over_energy_m", title="least tip-over energy", better="more", unit="m", digits=3),
-    Metric(name="stage_times_s.plan.median", title="planning time (median)", better="less", unit="s"),
-    Metric(name="stage_times_s.plan.p95", title="planning time (95 %)", better="less", unit="s"),
-    Metric(name="wall_time_s", title="computing time", better="less", unit="min", scale=1 / 60, digits=1, reached_only=True),
+    Metric(name="map_error_m.median", title="map error", better="less", unit="mm", scale=1000.0, digits=1, reached_only=True),
+    Metric(
+        name="localisation_error_m.mean", title="localisation error", better="less", unit="mm", scale=1000.0, digits=1, reached_only=True
+    ),
+    Metric(name="peak_torque_fraction", title="peak torque", better="less", unit="%", scale=100.0, digits=1, reached_only=True),
+    Metric(name="min_support_margin_m", title="least support margin", better="more", unit="m", reached_only=True),
+    Metric(name="min_cps_margin_m", title="least CPS margin", better="more", unit="m", reached_only=True),
+    Metric(name="min_tip_over_energy_m", title="least tip-over energy", better="more", unit="m", digits=3, reached_only=True),
+    Metric(name="stage_times_s.plan.median", title="planning time (median)", better="less", unit="s", timing=True),
+    Metric(name="stage_times_s.plan.p95", title="planning time (95 %)", better="less", unit="s", timing=True),
+    Metric(name="wall_time_s", title="computing time", better="less", unit="min", scale=1 / 60, digits=1, reached_only=True, timing=True),
 )
 """what is compared unless told otherwise, the most important first"""
 BY_NAME = {m.name: m for m in METRICS}
@@ -92,13 +97,29 @@ SUCCESS = BY_NAME["success"]
 def succeeded(row: Row) -> bool:
     """Whether the trial reached its goal, or walked all the gait cycles to which its case caps the way.
 
-    Who ends with `cycles_done` after as many as the scenario allows at all was not capped and did not arrive. A trial that could
-    not be run (outcome `error`) did not succeed: a variant that breaks its program reaches no goal either.
+    A trial that could not be run (outcome `error`) did not succeed: a variant that breaks its program reaches no goal either.
+    """
+    return bool(row["outcome"] == "goal_reached") or cut_short(row)
+
+
+def cut_short(row: Row) -> bool:
+    """Whether the trial walked all the gait cycles to which its case caps the way, so that nobody knows where it would have come.
+
+    Who ends with `cycles_done` after as many as the scenario allows at all was not capped and did not arrive. The row says which it
+    was; of a row that does not, the scenario as this machine has it.
     """
     if row["outcome"] != "cycles_done":
-        return bool(row["outcome"] == "goal_reached")
-    walked, allowed = row["gait_cycles"], ground_of(row["scenario"]).cycles
+        return False
+    if row.get("capped") is not None:
+        return bool(row["capped"])
+    walked, allowed = limit_of(row), ground_of(row["scenario"]).cycles
     return walked is None or allowed is None or walked < allowed
+
+
+def limit_of(row: Row) -> int | None:
+    """Gait cycles to which a trial that ended with `cycles_done` was limited; None where the row does not say."""
+    cycles: int | None = row["gait_cycles"] if row.get("cycles") is None else row["cycles"]
+    return cycles
 
 
 def metrics_named(names: Sequence[str] | None) -> tuple[Metric, ...]:

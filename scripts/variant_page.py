@@ -10,11 +10,12 @@ from pathlib import Path
 import numpy as np
 from report_style import image
 from variant_details import compared_table, films_section, provenance_footer, reasons_table, stage_table, trials_section
-from variant_export import counted, median_of, p_value, share, title_of
+from variant_export import counted, median_cell, p_value, share, title_of, total_cell
 from variant_figures import Look, delay_figure, looks_of, outcome_figure, success_figure, time_figure
 from variant_metrics import BY_NAME, Row, succeeded
 from variant_rows import ERROR, RECOMMENDED
 from variant_spreads import difference_figure, spread_figure, stage_figure
+from variant_statistics import FEWEST_PAIRS
 from variant_tables import Comparison, Place, effects_by_ground, fewest_pairs, successes
 from variant_targets import DELAY, targets
 from variant_words import answer, interval, needed, place_title, rates, undecided
@@ -86,7 +87,8 @@ def body(study: Study) -> str:
         _gallery(
             study,
             "How trials spread",
-            "A dot a trial, boxes are quartiles, whiskers 5 and 95 %. All trials, failed ones too. The red line is a joint's limit.",
+            "A dot a trial, boxes are quartiles, whiskers 5 and 95 %; numbers count the trials. All trials, failed ones too. The red line "
+            "is a joint's limit.",
             lambda p: spread_figure(rows, p, looks, draws=np.random.default_rng(JITTER)),
         ),
         _gallery(
@@ -127,10 +129,13 @@ def _answers(study: Study) -> str:
     rest = "".join(_answer(study, p) for p in study.places if not study.shown_first(p))
     folded = f"<details><summary>The same at other delays</summary>{rest}</details>" if rest else ""
     base, partners = html.escape(study.variants[0]), dict.fromkeys(study.partners.values())
-    against = f"Variants are held against <b>{base}</b>; a difference is the variant's figure less {base}'s. " if study.compared else ""
+    against = ""
+    if study.partners:
+        chosen = "as asked for" if study.baseline is not None else "the first variant of results.jsonl"
+        against = f"The baseline is <b>{base}</b>, {chosen}: variants are held against it, a difference is their figure less {base}'s. "
     for partner in (html.escape(p) for p in partners if p != study.variants[0]):
         against += f"Those that differ from {partner} in one stage are held against {partner}. "
-    level = "Significant means at 5 % after Holm's correction over the metrics."
+    level = "Significant means at 5 % after Holm's correction over the metrics, computing times by themselves."
     return f"<section><h2>The answer</h2><p>{against}{level}</p>{first}{folded}</section>"
 
 
@@ -147,15 +152,19 @@ def _answer(study: Study, place: Place) -> str:
             share(r),
             "" if c is None else interval(c),
             "" if c is None else p_value(c.p_holm),
-            *(BY_NAME[name].shown(median_of(mine, BY_NAME[name])) for name in ("progress_m", "peak_torque_fraction")),
-            *(BY_NAME[name].shown(median_of(well, BY_NAME[name])) for name in ("mission_time_s", "command_cycles")),
+            *(median_cell(mine, BY_NAME[name]) for name in ("progress_m", "peak_torque_fraction")),
+            *(median_cell(well, BY_NAME[name]) for name in ("mission_time_s", "command_cycles")),
+            *(total_cell(mine, BY_NAME[name]) for name in ("collisions", "faults")),
         )
         cells = "".join(f'<td class="n">{html.escape(v)}</td>' for v in figures)
         lines.append(f"<tr><td>{_named(study, found.variant)}</td>{cells}</tr>")
     head = "".join(
         f'<th class="n">{t}</th>'
-        for t in ("succeeded", "95 % interval", "difference", "p (Holm)", "progress", "peak torque", "mission time*", "command cycles*")
-    )
+        for t in (
+            "succeeded", "95 % interval", "difference", "p (Holm)", "progress", "peak torque", "mission time*", "command cycles*",
+            "collisions", "faults",
+        )
+    )  # fmt: skip
     alone = ["Nothing to hold against each other: one variant only."] if not study.partners else []
     against = answer(study.rows, place, study.partners, study.compared)
     said = _list([rates(study.rows, place, study.variants), *alone, *against])
@@ -165,7 +174,7 @@ def _answer(study: Study, place: Place) -> str:
     return (
         f'<h3>{html.escape(place_title(place))}</h3><div class="scroll"><table class="wrap"><tr><th>variant</th>{head}</tr>'
         f"{''.join(lines)}</table></div>"
-        f'<p class="small">Medians; * of trials that succeeded.</p>{said}'
+        f'<p class="small">Medians, collisions and faults in all, each of the trials that measured it; * of those that succeeded.</p>{said}'
     )
 
 
@@ -251,7 +260,10 @@ def _delays(study: Study) -> str:
             out.append(f"<figure><figcaption>{title}</figcaption>{image(f'Over the delay: {title_of(robot)}', data)}</figure>")
     if not out:
         return ""
-    text = "Mission time is the median of the trials that succeeded; lines upright are Wilson's 95 % intervals."
+    text = (
+        "Mission time is the median of the trials that succeeded, as many as the answer's tables say; lines upright are Wilson's 95 % "
+        "intervals."
+    )
     return f'<section><h2>Over the delay</h2><p>{text}</p><div class="pair">{"".join(out)}</div></section>'
 
 
@@ -260,20 +272,26 @@ def _method(study: Study) -> str:
     if not metrics:
         return ""
     only = ", ".join(m.title for m in metrics if m.reached_only)
+    family = sum(not m.timing for m in metrics)
     notes = [
         "Trials of one case are a pair: the same ground, noise and delay under two variants. Robots are never pooled, nor are delays; "
         "scenarios of one robot are, except where they are named.",
         "A p-value is the chance that flipping signs within the pairs at random makes a mean as far from zero (for success that is "
-        f"McNemar's exact test). Holm's correction runs over {len(metrics)} metrics of one variant on one robot at one delay, as far "
-        f"as they were measured; so many need {fewest_pairs(len(metrics))} pairs before anything can be significant. Intervals are not "
+        f"McNemar's exact test). Holm's correction runs over {counted(family, 'metric')} of one variant on one robot at one delay, as far "
+        f"as they were measured; so many need {fewest_pairs(max(family, 1))} pairs before anything can be significant. Computing times "
+        "are corrected by themselves: they change with the machine's load, which is to change nothing else. Intervals are not "
         "corrected, and those of rates are too narrow where few pairs differ: the p-value decides.",
         "The pairs that would be needed are those with which a paired t-test finds the effect seen at 5 % in 80 of 100 repetitions, by "
-        "itself: among many metrics it takes more. The effect is a mean over the standard deviation of the differences (d_z).",
+        f"itself: among many metrics it takes more. {FEWEST_PAIRS} are the least with which flipped signs reach 5 %. The "
+        "effect is a mean over the standard deviation of the differences (d_z).",
         "What could not be measured is left out in pairs and shown as a dash, never as zero. A trial that could not be run did not "
         "succeed.",
     ]
     if only:
-        notes.append(f"Compared only over pairs in which both succeeded: {only}. Who falls early is soon done.")
+        notes.append(
+            f"Compared only over pairs in which both succeeded: {only}. Who falls early is soon done, and who stands still strikes "
+            "nothing. Totals and medians in the tables are of all trials unless they say otherwise."
+        )
     return f"<section><h2>How this was reckoned</h2>{_list(notes)}</section>"
 
 

@@ -39,7 +39,7 @@ class Options:
     metrics: tuple[str, ...] | None = None
     """figures to compare and to correct for, such as success or sag_error_m.mean; all of them unless given"""
     baseline: str | None = None
-    """variant that all others are held against; the first of results.jsonl, or what a variant differs from in one stage"""
+    """variant that all others are held against; unless given the first of results.jsonl, or what a variant differs from in one stage"""
 
 
 def write_report(folder: Path, *, metrics: Sequence[str] | None = None, baseline: str | None = None) -> Path:

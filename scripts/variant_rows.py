@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from variant_fields import PARTS, misfit
 from variant_metrics import METRICS, Row, succeeded
 
 from athlete_twin.errors import ConfigError, RecordingError
@@ -20,7 +21,6 @@ ERROR = "error"
 RECOMMENDED = "integrated"
 """the variant of which something is wanted"""
 IDENTIFYING = ("robot", "scenario", "variant", "seed", "delay_s", "case", "folder", "outcome", "reason", "suite_sha256", "provenance")
-PARTS = ("motion_s", "link_s", "operator_s", "ground_s")
 STAGES = (
     "self_mask", "fusion", "localisation", "sag", "margin", "footfall", "leg_planner", "smoothing", "gait", "body_motion", "touchdown",
     "unknown_terrain", "level_deck",
@@ -140,11 +140,9 @@ def _parsed(path: Path, number: int, line: str, *, last: bool) -> Row | None:
         raise RecordingError(
             f"{path} line {number}: no {', '.join(missing)}; a row holds all of trial.json, and delay_s, case and folder"
         )
-    wrong = [key for key in ("robot", "scenario", "variant", "case", "folder", "outcome") if not isinstance(row[key], str)]
+    wrong = misfit(row)
     if wrong:
-        raise RecordingError(f"{path} line {number}: {wrong[0]} is {row[wrong[0]]!r}, must be text")
-    if isinstance(row["delay_s"], bool) or not isinstance(row["delay_s"], int | float):
-        raise RecordingError(f"{path} line {number}: delay_s is {row['delay_s']!r}, must be a number of seconds")
+        raise RecordingError(f"{path} line {number}: {wrong}")
     for metric in METRICS:
         try:
             metric.read(row)

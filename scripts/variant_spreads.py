@@ -67,6 +67,7 @@ def spread_figure(rows: Sequence[Row], place: Place, looks: dict[str, Look], *, 
             values = metric.scale * np.array(measured[name][variant])
             if not len(values):
                 continue
+            ax.text(1.01, y, str(len(values)), transform=ax.get_yaxis_transform(), va="center", fontsize=7, color=MUTED)
             colour = looks[variant].colour
             ax.plot(values, y + draws.uniform(-0.24, 0.24, len(values)), "o", color=colour, alpha=0.4, ms=3.2, mew=0)
             if len(values) > 1:

@@ -19,7 +19,11 @@ CONFIDENCE = 0.95
 RESAMPLES = 9999
 """of bootstrap and sign flips, where these are not all tried"""
 POWER = 0.8
+FEWEST_PAIRS = 6
+"""with which sign flips can be significant at 5 % at all: n pairs that all point one way have p = 2 / 2^n"""
 MOST_SEEDS = 100_000
+LARGE_EFFECT = 5.0
+"""d_z from which the fewest pairs are enough by far, and up to which SciPy's non-central t is sound"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,7 +57,8 @@ class PairedDifference:
     missing: int
     """pairs left out, in which a figure was not measured"""
     seeds_needed: int | None
-    """pairs that show such an effect at 5 % in 80 of 100 repetitions; None where no number below 100,000 does"""
+    """pairs that show such an effect at 5 % in 80 of 100 repetitions, `FEWEST_PAIRS` at the least; None where the mean is zero or
+    100,000 pairs are too few"""
 
 
 def rate(flags: Sequence[bool]) -> Rate:
@@ -87,7 +92,7 @@ def paired_difference(first: Sequence[float | None], second: Sequence[float | No
     effect = nan if alike else mean / float(d.std(ddof=1))
     return PairedDifference(
         mean=mean, low=low, high=high, p=_sign_flips(d, rng), effect=effect, pairs=len(d), missing=missing,
-        seeds_needed=None if alike else seeds_needed(effect),
+        seeds_needed=seeds_needed(np.copysign(np.inf, mean) if alike and mean else effect),
     )  # fmt: skip
 
 
@@ -104,19 +109,27 @@ def holm(p_values: Sequence[float]) -> np.ndarray:
 
 
 def seeds_needed(effect: float, *, significance: float = 0.05, power: float = POWER) -> int | None:
-    """Pairs with which a two-sided paired t-test finds an effect d_z with a power; None where too many are."""
-    if not np.isfinite(effect) or effect == 0.0:
+    """Pairs with which a two-sided paired t-test finds an effect d_z with a power, and sign flips can; None where too many are.
+
+    Args:
+        effect: mean over standard deviation of the differences; infinite where all are alike, NaN where there is none.
+        significance: at which sign flips need `FEWEST_PAIRS` or fewer.
+        power: share of repetitions that find it.
+    """
+    if np.isnan(effect) or effect == 0.0:
         return None
+    size = min(abs(effect), LARGE_EFFECT)
 
     def reached(n: int) -> bool:
-        limit, shift = stats.t.ppf(1.0 - 0.5 * significance, n - 1), abs(effect) * np.sqrt(n)
-        return bool(stats.nct.sf(limit, n - 1, shift) + stats.nct.cdf(-limit, n - 1, shift) >= power)
+        limit, shift = stats.t.ppf(1.0 - 0.5 * significance, n - 1), size * np.sqrt(n)
+        near, far = stats.nct.sf(limit, n - 1, shift), stats.nct.cdf(-limit, n - 1, shift)
+        return bool(near + np.nan_to_num(far) >= power)  # SciPy's far tail is NaN here and there where it is next to nothing
 
-    low, high = 2, 2
+    low, high = FEWEST_PAIRS - 1, FEWEST_PAIRS
     while not reached(high):
-        low, high = high, 2 * high
-        if high > MOST_SEEDS:
+        if high == MOST_SEEDS:
             return None
+        low, high = high, min(2 * high, MOST_SEEDS)
     while high - low > 1:
         middle = (low + high) // 2
         low, high = (low, middle) if reached(middle) else (middle, high)

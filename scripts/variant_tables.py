@@ -2,7 +2,7 @@
 
 Robots are never pooled, nor are delays. Within a robot and a delay, trials of one case are a pair: the same ground, the same noise. A
 difference is the variant's figure less the baseline's. Holm's correction runs over the metrics of one variant on one robot at one delay,
-as far as they were measured at all.
+as far as they were measured at all; computing times are a family of their own.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Comparison:
     unpaired: int
     """trials of either variant whose partner was not run"""
     p_holm: float = float("nan")
-    """of no difference, corrected for the other metrics; NaN where there was no pair"""
+    """of no difference, corrected for the other metrics of its family; NaN where there was no pair"""
 
     @property
     def significant(self) -> bool:
@@ -107,7 +107,7 @@ def comparisons(
     Args:
         rows: of a comparison.
         place: whose trials are taken.
-        metrics: over which Holm's correction runs.
+        metrics: over which Holm's correction runs, computing times and the others each by themselves.
         baseline: against which all are held; None for what `partners_of` says.
     """
     found = []
@@ -156,6 +156,8 @@ def _difference(pairs: list[tuple[Row, Row]], metric: Metric, *, seed: str) -> P
 
 
 def _corrected(compared: list[Comparison]) -> list[Comparison]:
-    tested = [c for c in compared if c.difference.pairs]
-    adjusted = dict(zip(map(id, tested), holm([c.difference.p for c in tested]).tolist(), strict=True))
+    adjusted: dict[int, float] = {}
+    for timing in (False, True):
+        tested = [c for c in compared if c.difference.pairs and c.metric.timing == timing]
+        adjusted |= zip(map(id, tested), holm([c.difference.p for c in tested]).tolist(), strict=True)
     return [replace(c, p_holm=adjusted.get(id(c), float("nan"))) for c in compared]

@@ -1,4 +1,7 @@
-"""What is wanted of the recommended variant, each wish beside what was measured."""
+"""What is wanted of the recommended variant, each wish beside what was measured.
+
+Trials that ended after as many gait cycles as their case allows tell of a failure, never that there would have been none.
+"""
 
 from __future__ import annotations
 
@@ -6,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-from variant_export import p_text, share, title_of
-from variant_metrics import BY_NAME, Row, succeeded
+from variant_export import counted, p_text, share, title_of
+from variant_metrics import BY_NAME, Row, cut_short, limit_of
 from variant_rows import RECOMMENDED
 from variant_statistics import rate
 from variant_tables import SIGNIFICANCE, Place, comparisons
@@ -56,26 +59,41 @@ def _goals(robot: str, mine: list[Row]) -> Target:
     wanted = f"{100 * SHARES[robot]:.0f} % of goals reached at {DELAY:g} s delay"
     if not mine:
         return _unknown(robot, wanted)
-    found = rate([r["outcome"] == "goal_reached" for r in mine])
-    met = found.share >= SHARES[robot]
-    settled = found.low >= SHARES[robot] if met else found.high < SHARES[robot]
-    capped = sum(r["outcome"] == "cycles_done" for r in mine)
-    note = "" if settled else "the interval holds the target too: these trials cannot settle it"
-    if capped:
-        note = f"{capped} trials ended after the gait cycles that their case allows, before any goal" + (f"; {note}" if note else "")
+    found, best = rate([_arrived(r) for r in mine]), rate([_arrived(r) or cut_short(r) for r in mine])
     measured = f"{found.successes} of {found.trials}, {100 * found.share:.0f} % ({share(found)})"
-    return Target(robot=robot, wanted=wanted, measured=measured, met=met, note=note)
+    if found.share < SHARES[robot] <= best.share:
+        return Target(robot=robot, wanted=wanted, measured=measured, met=None, note=f"not measured: {_cut(mine)}")
+    met = found.share >= SHARES[robot]
+    settled = found.low >= SHARES[robot] if met else best.high < SHARES[robot]
+    doubt = "" if settled else "the interval holds the target too: these trials cannot settle it"
+    return Target(robot=robot, wanted=wanted, measured=measured, met=met, note="; ".join(n for n in (_cut(mine), doubt) if n))
 
 
 def _never(robot: str, mine: list[Row], wanted: str, is_so: Callable[[Row], bool | None], words: str, *, note: str = "") -> Target:
     known = [flag for flag in map(is_so, mine) if flag is not None]
     if not known:
         return _unknown(robot, wanted)
+    cut = _cut(mine)
     sure = "" if any(known) else f"up to {100 * rate(known).high:.0f} % of trials may, by the interval"
+    met = False if any(known) else None if cut else True
     return Target(
-        robot=robot, wanted=wanted, measured=f"{sum(known)} of {len(known)} trials {words}", met=not any(known),
-        note="; ".join(n for n in (note, sure) if n),
+        robot=robot, wanted=wanted, measured=f"{sum(known)} of {len(known)} trials {words}", met=met,
+        note="; ".join(n for n in (f"not measured: {cut}" if met is None else cut, note, sure) if n),
     )  # fmt: skip
+
+
+def _arrived(row: Row) -> bool:
+    return bool(row["outcome"] == "goal_reached")
+
+
+def _cut(rows: list[Row]) -> str:
+    """How many trials ended after how many gait cycles; empty where none was cut short."""
+    cut = [r for r in rows if cut_short(r)]
+    if not cut:
+        return ""
+    limits = sorted({n for n in map(limit_of, cut) if n is not None})
+    after = " or ".join(map(str, limits)) + (" gait cycle" if limits == [1] else " gait cycles")
+    return f"{counted(len(cut), 'trial')} of {len(rows)} ended after {after.lstrip()}, as their case asks, short of any goal"
 
 
 def _tipped(row: Row) -> bool | None:
@@ -97,14 +115,14 @@ def _pace(robot: str, mine: list[Row]) -> Target:
     wanted = f"{WAY:g} m in under an hour of mission time at {DELAY:g} s delay"
     known = [
         (float(t), float(d))
-        for t, d in ((r["mission_time_s"], r["progress_m"]) for r in mine if succeeded(r))
+        for t, d in ((r["mission_time_s"], r["progress_m"]) for r in mine if _arrived(r))
         if t is not None and d is not None and d > 0.0
     ]
     if not known:
-        return _unknown(robot, wanted)
+        return _unknown(robot, wanted, _cut(mine))
     times = [t * WAY / d for t, d in known]
     farthest = max(d for _, d in known)
-    note = f"{sum(t < HOUR for t in times)} of {len(times)} trials that succeeded are as fast"
+    note = f"{sum(t < HOUR for t in times)} of {len(times)} trials that reached their goal are as fast"
     if farthest < WAY:
         note += f"; reckoned at their pace, since none walked farther than {farthest:.1f} m"
     measured = f"{median(times) / 60:.0f} min by the median, {max(times) / 60:.0f} min by the slowest"
@@ -114,17 +132,21 @@ def _pace(robot: str, mine: list[Row]) -> Target:
 def _fewer_cycles(robot: str, rows: list[Row]) -> Target:
     wanted = f"fewer command cycles than {RIVAL} at {DELAY:g} s delay"
     place, metric = Place(robot=robot, delay_s=DELAY), BY_NAME["command_cycles"]
-    two = [r for r in rows if r["variant"] in (RECOMMENDED, RIVAL)]
-    if {r["variant"] for r in two} != {RECOMMENDED, RIVAL}:
+    both = [r for r in rows if place.has(r) and r["variant"] in (RECOMMENDED, RIVAL)]
+    if {r["variant"] for r in both} != {RECOMMENDED, RIVAL}:
         return _unknown(robot, wanted)
+    two = [r for r in both if not cut_short(r)]
+    if {r["variant"] for r in two} != {RECOMMENDED, RIVAL}:
+        return _unknown(robot, wanted, _cut(both))
     compared = comparisons(two, place, metrics=(metric,), baseline=RIVAL)
     if not compared or not compared[0].difference.pairs:
-        return _unknown(robot, wanted, "no case that both succeeded on")
+        return _unknown(robot, wanted, "; ".join(n for n in ("no case whose goal both reached", _cut(both)) if n))
     d = compared[0].difference
+    evidence = f"{'significant' if d.p < SIGNIFICANCE else 'not significant'}, {p_text(d.p)} by itself"
     return Target(
         robot=robot, wanted=wanted, met=d.mean < 0.0,
-        measured=f"{metric.number(d.mean, sign=True)} by the mean of {d.pairs} pairs that both succeeded on",
-        note=f"{'significant' if d.p < SIGNIFICANCE else 'not significant'}, {p_text(d.p)} by itself",
+        measured=f"{metric.number(d.mean, sign=True)} by the mean of {d.pairs} pairs in which both reached the goal",
+        note="; ".join(n for n in (evidence, _cut(both)) if n),
     )  # fmt: skip
 
 

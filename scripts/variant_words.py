@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 from variant_export import counted, p_text, share, title_of
 from variant_metrics import Row
+from variant_statistics import FEWEST_PAIRS
 from variant_tables import Comparison, Place, Success, fewest_pairs, successes
 
 
@@ -46,7 +47,7 @@ def undecided(place: Place, partners: dict[str, str], compared: Sequence[Compari
         rest = [c for c in mine if c.difference.pairs and not c.significant and c.metric.name != "success"]
         if rest:
             listed = ", ".join(f"{c.metric.title} ({needed(c) if c.difference.mean else 'alike'})" for c in rest)
-            out.append(f"{pair}, in brackets what would show the difference seen: {listed}.")
+            out.append(f"{pair}, in brackets what would show the difference seen, by itself: {listed}.")
         untested = [c.metric.title for c in mine if not c.difference.pairs]
         if untested:
             out.append(f"{pair}, nothing to compare: {', '.join(untested)}.")
@@ -66,7 +67,7 @@ def needed(c: Comparison) -> str:
     n = c.difference.seeds_needed
     if n is None:
         return "no number of pairs below 100,000"
-    return counted(n, "pair")
+    return f"at least {n} pairs" if n == FEWEST_PAIRS else f"{n} pairs"
 
 
 def _often(found: Success) -> str:
@@ -77,15 +78,19 @@ def _often(found: Success) -> str:
 def _against(variant: str, partner: str, mine: list[Comparison], *, met: bool) -> list[str]:
     if not mine:
         return [f"{variant} and {partner} share no case: nothing is compared." if met else f"{variant}: {partner} was not run here."]
-    tested = [c for c in mine if c.difference.pairs]
+    measured = [c for c in mine if c.difference.pairs]
+    tested = [c for c in measured if not c.metric.timing]
     said = [_success(c) for c in tested if c.metric.name == "success"]
     significant = [c for c in tested if c.significant and c.metric.name != "success"]
+    timed = [c for c in measured if c.significant and c.metric.timing]
     if significant:
-        said.append("significant: " + "; ".join(f"{c.metric.title} {_side(c)} ({_evidence(c)})" for c in significant))
+        said.append(f"significant: {_listed(significant)}")
     elif any(c.metric.name != "success" for c in tested):
         said.append("no other figure differs significantly")
+    if timed:
+        said.append(f"significant among computing times, as measured here: {_listed(timed)}")
     most, least = max((c.difference.pairs for c in tested), default=0), fewest_pairs(max(len(tested), 1))
-    if most < least:
+    if tested and most < least:
         pairs, metrics = counted(most, "pair"), counted(len(tested), "metric")
         said.append(f"with {pairs} nothing can be significant among {metrics}, that takes {least} pairs or more")
     if mine[0].unpaired:
@@ -99,7 +104,11 @@ def _success(c: Comparison) -> str:
         return f"succeeds significantly {'more' if c.better else 'less'} often ({_evidence(c)})"
     if c.difference.mean == 0.0:
         return f"succeeds as often in {counted(c.difference.pairs, 'pair')}"
-    return f"success not significantly {_side(c)} ({_evidence(c)}; showing this difference would take {needed(c)})"
+    return f"success not significantly {_side(c)} ({_evidence(c)}; showing this difference by itself would take {needed(c)})"
+
+
+def _listed(compared: Sequence[Comparison]) -> str:
+    return "; ".join(f"{c.metric.title} {_side(c)} ({_evidence(c)})" for c in compared)
 
 
 def _side(c: Comparison) -> str:

@@ -26,6 +26,7 @@ def case_row(robot, scenario, seed, delay, variant, **changes):
         "schema_version": 1, "robot": robot, "payload_kg": 0.0, "scenario": scenario, "variant": variant, "seed": seed,
         "link": {"delay_s": delay, "down": {"delay": delay, "outages": []}, "up": {"delay": delay, "outages": []}},
         "operator": "approve_all", "outcome": "error", "reason": "WorkerError: gone", **dict.fromkeys(NULLS),
+        "cycles": 30, "time_limit_s": 14400.0, "capped": False,
         "suite_sha256": SUITE, "provenance": PROVENANCE, "delay_s": delay, "case": case, "folder": f"trials/{case}-{variant}",
     }  # fmt: skip
     return row | changes

@@ -85,6 +85,30 @@ def test_page_begins_with_the_answer(study):
     assert order == sorted(order)
 
 
+def test_every_figure_says_of_how_many_trials_it_is(script):
+    export, metrics = script("variant_export"), script("variant_metrics")
+    rows = [made_up.case_row("t12", "rock_field", s, 5.0, "a", outcome="fault", progress_m=float(s), faults=2) for s in range(3)]
+    rows.append(made_up.case_row("t12", "rock_field", 3, 5.0, "a"))  # could not be run
+    assert export.median_cell(rows, metrics.BY_NAME["progress_m"]) == "1.00 m of 3 trials"
+    assert export.median_cell(rows[:1], metrics.BY_NAME["progress_m"], unit=False) == "0.00 of 1 trial"
+    assert export.total_cell(rows, metrics.BY_NAME["faults"]) == "6 in 3 trials"
+    assert export.median_cell(rows, metrics.BY_NAME["mission_time_s"]) == export.total_cell(rows, metrics.BY_NAME["collisions"]) == "–"
+
+
+def test_page_and_table_count_their_trials_and_name_the_baseline(study):
+    folder, _, page = study
+    assert re.search(r"<td class=\"n\">\S+ m of 12 trials</td>", page) and re.search(r">\d+ in 12 trials</td>", page)
+    assert "The baseline is <b>integrated</b>, the first variant of results.jsonl" in page
+    table = (folder / "results.md").read_text()
+    assert " of 12 trials | " in table and "Baseline: integrated." in table
+
+
+def test_the_baseline_that_is_asked_for_is_named(report, tmp_path):
+    rows = made_up.comparison(robots=("t12",), scenarios=("rock_field",), seeds=2, variants=("integrated", "blind"))
+    page = report.write_report(made_up.write(tmp_path, rows), metrics=["success"], baseline="blind").read_text()
+    assert "The baseline is <b>blind</b>, as asked for" in page and "Baseline: blind." in (tmp_path / "results.md").read_text()
+
+
 def test_links_go_to_the_trials_that_have_something(study):
     _, rows, page = study
     folder = rows[0]["folder"]
@@ -260,10 +284,43 @@ def test_wishes_are_judged_by_what_was_measured(targets):
 
 
 def test_wishes_hold_at_five_seconds_and_for_goals_only(targets):
-    rows = [made_up.case_row("t12", "rock_field", s, 5.0, "integrated", outcome="cycles_done") for s in range(4)]
+    cut = {"outcome": "cycles_done", "gait_cycles": 2, "cycles": 2, "capped": True}
+    rows = [made_up.case_row("t12", "rock_field", s, 5.0, "integrated", **cut) for s in range(4)]
     rows += [made_up.case_row("t12", "rock_field", s, 0.0, "integrated", outcome="goal_reached") for s in range(9)]
     goals = wished(targets, rows)["t12", "90 % of goals reached"]
-    assert goals.met is False and goals.measured.startswith("0 of 4") and "4 trials ended after the gait cycles" in goals.note
+    assert goals.met is None and goals.measured.startswith("0 of 4")
+    assert goals.note.startswith("not measured: 4 trials of 4 ended after 2 gait cycles")
+
+
+def capped_walks(variant, seeds, **changes):
+    walk = {
+        "outcome": "cycles_done", "gait_cycles": 2, "cycles": 2, "capped": True, "progress_m": 0.5, "mission_time_s": 100.0,
+        "command_cycles": 10, "peak_torque_fraction": 0.7,
+    }  # fmt: skip
+    return [made_up.case_row("t12", "rock_field", s, 5.0, variant, **walk | changes) for s in seeds]
+
+
+def test_trials_cut_short_grant_no_wish(targets):
+    rows = capped_walks("integrated", range(8)) + capped_walks("drats_2010", range(8), command_cycles=20)
+    found = [t for t in targets.targets(rows) if t.robot == "t12"]
+    assert len(found) == 5
+    for target in found:
+        assert target.met is None and "ended after 2 gait cycles" in target.note, target.wanted
+
+
+def test_failures_of_trials_cut_short_count(targets):
+    rows = capped_walks("integrated", range(7)) + capped_walks("integrated", [7, 8], outcome="tip_over", peak_torque_fraction=1.0)
+    found = wished(targets, rows)
+    for wanted in ("no tip-over", "no joint saturated", "90 % of goals reached"):  # at best 7 of 9
+        assert found["t12", wanted].met is False
+    assert found["t12", "90 % of goals reached"].note.startswith("7 trials of 9 ended after 2 gait cycles")
+
+
+def test_the_pace_is_that_of_trials_which_arrived(targets):
+    slow = {"outcome": "goal_reached", "capped": False, "progress_m": 5.0, "mission_time_s": 7200.0}
+    rows = capped_walks("integrated", range(8)) + capped_walks("integrated", [8], **slow)
+    pace = wished(targets, rows)["t12", "5 m"]
+    assert pace.met is False and pace.measured.startswith("120 min by the median") and pace.note.startswith("0 of 1 trials")
 
 
 def test_runs_of_numbers_are_shortened(script):

@@ -77,14 +77,34 @@ def test_effects_that_nothing_shows_need_no_number():
     assert statistics.seeds_needed(1e-4) is None
 
 
+def test_more_pairs_are_never_needed_for_a_larger_effect():
+    found = [statistics.seeds_needed(effect) for effect in np.geomspace(0.1, 20.0, 400)]
+    assert found == sorted(found, reverse=True) and (found[0], found[-1]) == (787, 6)
+    assert statistics.seeds_needed(float("inf")) == statistics.seeds_needed(1e9) == 6
+
+
+def test_fewest_pairs_are_those_whose_sign_flips_can_be_significant():
+    fewest = statistics.FEWEST_PAIRS
+    p = [statistics.paired_difference([0.0] * n, np.linspace(1.0, 2.0, n).tolist(), rng=rng()).p for n in (fewest - 1, fewest)]
+    assert p == pytest.approx([2 / 2 ** (fewest - 1), 2 / 2**fewest]) and p[1] <= 0.05 < p[0]
+
+
+def test_numbers_up_to_a_hundred_thousand_are_found():
+    # n = ((z of 97.5 % + z of 80 %) / d)^2, Cohen's rule for many pairs
+    many = ((stats.norm.ppf(0.975) + stats.norm.ppf(0.8)) / 0.009) ** 2
+    assert 65_536 < many < 100_000 and statistics.seeds_needed(0.009) == pytest.approx(many, rel=1e-3)
+
+
 def test_missing_figures_are_left_out_and_alike_ones_have_no_interval():
     found = statistics.paired_difference([1.0, None, float("nan"), 2.0], [2.0, 1.0, 1.0, 3.0], rng=rng())
     assert (found.pairs, found.missing, found.mean) == (2, 2, 1.0)
-    assert np.isnan(found.low) and np.isnan(found.effect) and found.seeds_needed is None
+    assert np.isnan(found.low) and np.isnan(found.effect) and found.seeds_needed == 6
+    same = statistics.paired_difference([1.0] * 8, [1.0] * 8, rng=rng())
+    assert same.mean == 0.0 and same.seeds_needed is None
     none = statistics.paired_difference([None], [1.0], rng=rng())
     assert none.pairs == 0 and none.p == 1.0
     single = statistics.paired_difference([1.0], [3.0], rng=rng())
-    assert (single.pairs, single.mean, single.p, single.seeds_needed) == (1, 2.0, 1.0, None)
+    assert (single.pairs, single.mean, single.p, single.seeds_needed) == (1, 2.0, 1.0, 6)
     with pytest.raises(ConfigError, match="2 and 1 trials make no pairs"):
         statistics.paired_difference([1.0, 2.0], [1.0], rng=rng())
 
