@@ -57,6 +57,8 @@ class Case:
     """the trial ends after so many gait cycles"""
     time_limit: float
     """mission time [s]"""
+    capped: bool
+    """whether `cycles` are fewer than the scenario's own"""
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -194,6 +196,7 @@ def _case(
     return Case(
         robot=robot, scenario=name, seed=seed, delay=float(delay), cycles=scenario.cycles if cycles is None else cycles,
         time_limit=scenario.time_limit if time_limit is None else float(time_limit),
+        capped=cycles is not None and cycles < scenario.cycles,
     )  # fmt: skip
 
 

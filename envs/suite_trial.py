@@ -96,7 +96,9 @@ def row_of(asked: Asked, folder: Path, *, status: int) -> dict[str, Any]:
     result |= {"variant": asked.variant, "suite_sha256": asked.suite_sha256}
     more = {"code_sha256": asked.code_sha256, "variant_sha256": asked.variant_sha256, "body": asked.body}
     result["provenance"] = result["provenance"] | more
-    return result | {"case": asked.case.id, "delay_s": asked.case.delay}
+    case = asked.case
+    ends = {"cycles": case.cycles, "time_limit_s": case.time_limit, "capped": case.capped}
+    return result | {"case": case.id, "delay_s": case.delay} | ends
 
 
 def reason_of(status: int, log: Path) -> str:

@@ -96,6 +96,7 @@ def _compare(options: Options) -> None:
     suite = chosen_suite(options)
     cases = suite.of_robots(options.robots)
     check_variants(options.variants)
+    check_caps(options.variants, suite.name, cases)
     _check_metrics(options.metrics)
     check_workers(options.workers, cluster=options.ray is not None)
     asked = asked_for(suite, cases, options.variants, body=options.body)
@@ -142,6 +143,24 @@ def check_variants(variants: Sequence[str]) -> None:
         raise ConfigError(f"variant {', '.join(twice)} is there twice; name each once")
     for variant in variants:
         check_variant(variant)
+
+
+def check_caps(variants: Sequence[str], suite: str, cases: Sequence[Any]) -> None:
+    """Refuses variants that a limit of gait cycles would not stop where it stops others: they would be compared as pairs all the same."""
+    from envs.variants import OutsidePlanner, variant_named
+
+    capped = next((case for case in cases if case.capped), None)
+    if capped is None:
+        return
+    for name in variants:
+        found = variant_named(name)
+        outside = isinstance(found, OutsidePlanner)
+        if outside or found.content.get("driving") == "on":
+            why = "a planner from outside need propose no steps" if outside else "a planner that drives takes no steps meanwhile"
+            raise ConfigError(
+                f"variant {name} cannot be compared where trials end after {capped.cycles} gait cycles ({capped.id} of suite {suite}): "
+                f"{why}; take --suite full, or --scenarios and --seeds without --cycles"
+            )
 
 
 def check_workers(workers: int | None, *, cluster: bool) -> None:

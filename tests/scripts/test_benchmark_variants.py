@@ -21,6 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from athlete_twin.errors import ConfigError, RecordingError
+from athlete_twin.world.scenario import load_scenario
 from envs.suite import suite_of
 from envs.suite_trial import Asked, reason_of, row_of, this_code
 from envs.trial import OUTCOMES, TrialResult
@@ -30,6 +31,9 @@ TIMINGS = ("wall_time_s", "stage_times_s", "provenance")
 """what may differ between two runs"""
 SUITE = suite_of(robots=["sdm_b", "t12"], scenarios=["rock_field"], seeds=[0, 1], delays=[5.0], cycles=1)
 MOCK = ["--scenarios", "rock_field", "--body", "mock", "--no-films"]
+
+EXAMPLE = (ROOT / "docs/outside_planner.md").read_text().partition("```python\n")[2].partition("```")[0]
+"""a planner from outside"""
 
 
 def asked(*, variants=("blind", "sway"), suite=SUITE, code="c0", variant_sha256="v0"):
@@ -124,9 +128,10 @@ def test_every_trial_is_a_row_with_every_key_in_the_order_asked_for(runs, tmp_pa
     rows = runs.run_all(asked(), tmp_path, crew=crew, onlooker=onlooker)
     assert rows == rows_in(tmp_path) and crew.stopped
     assert [(r["case"], r["variant"]) for r in rows] == [a.key for a in asked()]
-    keys = {f.name for f in fields(TrialResult)} | {"case", "delay_s", "folder"}
+    keys = {f.name for f in fields(TrialResult)} | {"case", "delay_s", "folder", "cycles", "time_limit_s", "capped"}
     assert all(set(r) == keys for r in rows)
     assert all(r["suite_sha256"] == SUITE.sha256 and r["delay_s"] == 5.0 for r in rows)
+    assert all((r["cycles"], r["time_limit_s"], r["capped"]) == (1, load_scenario("rock_field").time_limit, True) for r in rows)
     assert all(json.loads((tmp_path / r["folder"] / "trial.json").read_text())["reason"] in r["folder"] for r in rows)
     assert onlooker.told[0] == ("begins", 8, 0, 2) and sum(t[0] == "row" for t in onlooker.told) == 8
 
@@ -339,6 +344,28 @@ def test_bad_usage_is_one_line_and_touches_nothing(script, capsys, tmp_path, opt
     assert not out.exists()
 
 
+@pytest.mark.parametrize(
+    ("variant", "why"),
+    [
+        ("driving", "a planner that drives takes no steps meanwhile"),
+        ("capless:Driver", "a planner from outside need propose no steps"),
+    ],
+)
+def test_what_a_limit_of_cycles_does_not_stop_is_refused_where_there_is_one(script, capsys, tmp_path, monkeypatch, variant, why):
+    (tmp_path / "capless.py").write_text(EXAMPLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    out = ["--out", str(tmp_path / "out"), "--dry-run", "--variants", "blind", variant]
+    main = script("benchmark_variants").main
+    free = ["--scenarios", "rock_field", "--seeds", "0"]
+    for options in (["--suite", "small"], [*free, "--cycles", "29"]):
+        assert main([*out, *options]) == 2
+        told = capsys.readouterr().err
+        assert f"variant {variant} cannot be compared where trials end after" in told and told.count("\n") == 1
+        assert f"{why}; take --suite full, or --scenarios and --seeds without --cycles" in told
+    for options in (free, [*free, "--cycles", "30"]):
+        assert main([*out, *options]) == 0
+
+
 def test_a_cluster_that_nobody_runs_is_one_line_at_once(script, capsys, tmp_path):
     pytest.importorskip("ray", reason="Ray is not installed")
     began = time.monotonic()
@@ -493,12 +520,11 @@ def test_a_ray_cluster_gives_the_same_rows_as_processes_do(tmp_path):
 @pytest.mark.slow
 def test_a_planner_of_ones_own_is_compared_and_noticed_when_it_changes(tmp_path):
     own = tmp_path / "my_planner.py"
-    example = (ROOT / "docs/outside_planner.md").read_text().partition("```python\n")[2].partition("```")[0]
-    own.write_text(example)
+    own.write_text(EXAMPLE)
     run = compare(tmp_path / "out", variants=("blind", "my_planner:Driver"), seeds="0", cwd=tmp_path)
     assert run.communicate()[1] == "" and run.returncode == 0
     rows = rows_in(tmp_path / "out")
     assert [r["variant"] for r in rows] == ["blind", "my_planner:Driver"] and rows[1]["outcome"] != "error", rows[1]["reason"]
-    own.write_text(example + "# changed\n")
+    own.write_text(EXAMPLE + "# changed\n")
     again = compare(tmp_path / "out", variants=("blind", "my_planner:Driver"), seeds="0", cwd=tmp_path)
     assert "variant my_planner:Driver has changed since its trials were run" in again.communicate()[1] and again.returncode == 2
