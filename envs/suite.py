@@ -159,7 +159,16 @@ def suite_of(
         for delay in delays
         for robot in robots
     ]
-    return Suite(name="ad hoc", description="", cases=tuple(cases), scenarios=_hashes(loaded))
+    hashes = {Path(name).stem: scenario_sha256(name, scenario) for name, scenario in loaded.items()}
+    return Suite(name="ad hoc", description="", cases=tuple(cases), scenarios=MappingProxyType(hashes))
+
+
+def scenario_sha256(name: str, scenario: Scenario) -> str:
+    """Hash over the text of a scenario, named so, and over the measured map it names."""
+    digest = hashlib.sha256(named_toml("scenarios", name).read_bytes())
+    if scenario.file is not None:
+        digest.update(scenario.file.read_bytes())
+    return digest.hexdigest()
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
@@ -198,16 +207,6 @@ def _case(
         time_limit=scenario.time_limit if time_limit is None else float(time_limit),
         capped=cycles is not None and cycles < scenario.cycles,
     )  # fmt: skip
-
-
-def _hashes(scenarios: Mapping[str, Scenario]) -> Mapping[str, str]:
-    out = {}
-    for name, scenario in scenarios.items():
-        digest = hashlib.sha256(named_toml("scenarios", name).read_bytes())
-        if scenario.file is not None:
-            digest.update(scenario.file.read_bytes())
-        out[Path(name).stem] = digest.hexdigest()
-    return MappingProxyType(out)
 
 
 def _suite_from_content(content: dict[str, Any], path: Path) -> Suite:

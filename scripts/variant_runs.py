@@ -8,7 +8,6 @@ but had no row gets it, and one that was half done is done anew.
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 import os
 import shutil
@@ -22,9 +21,8 @@ from typing import Any, BinaryIO, Literal, Protocol
 
 from athlete_twin.errors import ConfigError, RecordingError
 from envs.suite import Case, Suite
-from envs.suite_trial import ASKED, TRIAL, Asked, row_of, this_code
+from envs.suite_trial import ASKED, CHANGED, LOG, TRIAL, Asked, code_now, reason_of, row_of, this_code, variant_sha256
 from envs.trial import usable_folder
-from envs.variants import OutsidePlanner, variant_named
 
 Row = dict[str, Any]
 RESULTS, TRIALS, LOCK = "results.jsonl", "trials", ".lock"
@@ -69,18 +67,18 @@ def asked_for(suite: Suite, cases: Sequence[Case], variants: Sequence[str], *, b
     sha256, code = suite.sha256, this_code()
     files = {variant: variant_sha256(variant) for variant in variants}
     return [
-        Asked(case=case, variant=v, body=body, suite_sha256=sha256, code_sha256=code, variant_sha256=files[v])
+        Asked(
+            case=case,
+            variant=v,
+            body=body,
+            suite_sha256=sha256,
+            code_sha256=code,
+            variant_sha256=files[v],
+            scenario_sha256=suite.scenarios[Path(case.scenario).stem],
+        )
         for case in cases
         for v in variants
     ]
-
-
-def variant_sha256(variant: str) -> str:
-    """Hash of what a variant is: its content with its base's, or a planner's source; empty where that lies in no file."""
-    found = variant_named(variant)
-    if isinstance(found, OutsidePlanner):
-        return found.sha256
-    return hashlib.sha256(json.dumps(found.content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def run_all(
@@ -165,7 +163,7 @@ def results_of(out: Path) -> Iterator[Results]:
 
 @dataclass(kw_only=True)
 class Results:
-    """Rows on the disk and in memory, by case and variant."""
+    """Rows on the disk and in memory, by case and variant. All bear the commit that the first was run at."""
 
     out: Path
     lock: int
@@ -221,7 +219,10 @@ class Results:
 
     def add(self, asked: Asked, row: Row) -> Row:
         """The row as it was written; it is on the disk when this returns."""
-        line = _line(row | {"folder": f"{TRIALS}/{asked.folder}"})
+        # Its code is the same to the byte, whatever has been committed beside it since.
+        began_at = next(iter(self.rows.values()), row)["provenance"].get("git_sha")
+        row = row | {"folder": f"{TRIALS}/{asked.folder}", "provenance": row["provenance"] | {"git_sha": began_at}}
+        line = _line(row)
         with _on_disk(self.out / RESULTS, "ab") as file:
             file.write(line)
         row = json.loads(line)
@@ -259,9 +260,25 @@ def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -
         ended = crew.ended()
         for asked, status in ended:
             running -= 1
-            onlooker.row(asked, results.add(asked, row_of(asked, results.folder(asked), status=status)))
+            folder = results.folder(asked)
+            _check_unchanged(asked, folder, status=status)
+            onlooker.row(asked, results.add(asked, row_of(asked, folder, status=status)))
         if not ended:
             onlooker.waits()
+
+
+def _check_unchanged(asked: Asked, folder: Path, *, status: int) -> None:
+    """Stops at a trial without a result while files change under the run: it and all that follow would be rows of errors."""
+    if (folder / TRIAL).is_file():
+        return
+    changed = reason_of(status, folder / LOG) if status == CHANGED else ""
+    if not changed and code_now() != this_code():  # it may have broken off at a file that was being written
+        changed = "the code, the drawings or the libraries"
+    if changed:
+        raise ConfigError(
+            f"stopped before {asked.case.id} {asked.variant}, which has no row: where it was to run, {changed} changed under the run; "
+            "restore that, or name another --out; the same command goes on from there"
+        )
 
 
 @contextmanager
