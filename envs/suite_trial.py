@@ -124,10 +124,8 @@ def changed_from(asked: Asked) -> str:
 
 def row_of(asked: Asked, folder: Path, *, status: int) -> dict[str, Any]:
     """The row of a trial whose process has ended: its result, or why there is none."""
-    path = folder / TRIAL
-    if path.is_file():
-        result: dict[str, Any] = json.loads(path.read_text())
-    else:
+    result = result_in(folder)
+    if result is None:
         result = _no_result(asked, reason_of(status, folder / LOG))
     # The name that was given is the one that is compared.
     result |= {"variant": asked.variant, "suite_sha256": asked.suite_sha256}
@@ -136,6 +134,15 @@ def row_of(asked: Asked, folder: Path, *, status: int) -> dict[str, Any]:
     case = asked.case
     ends = {"cycles": case.cycles, "time_limit_s": case.time_limit, "capped": case.capped}
     return result | {"case": case.id, "delay_s": case.delay} | ends
+
+
+def result_in(folder: Path) -> dict[str, Any] | None:
+    """What a trial's folder holds as its result; None where it is missing, or torn as by a power cut."""
+    try:
+        result: dict[str, Any] = json.loads((folder / TRIAL).read_bytes())
+    except (FileNotFoundError, ValueError):
+        return None
+    return result
 
 
 def reason_of(status: int, log: Path) -> str:

@@ -21,7 +21,7 @@ from typing import Any, BinaryIO, Literal, Protocol
 
 from athlete_twin.errors import ConfigError, RecordingError
 from envs.suite import Case, Suite
-from envs.suite_trial import ASKED, CHANGED, LOG, TRIAL, Asked, code_now, reason_of, row_of, this_code, variant_sha256
+from envs.suite_trial import ASKED, CHANGED, LOG, Asked, code_now, reason_of, result_in, row_of, this_code, variant_sha256
 from envs.trial import usable_folder
 
 Row = dict[str, Any]
@@ -156,7 +156,7 @@ def results_of(out: Path) -> Iterator[Results]:
         lock.write(f"{os.getpid()}\n")
         lock.flush()
         rows, whole = read_rows(out / RESULTS)
-        if rows and whole < (out / RESULTS).stat().st_size:
+        if (out / RESULTS).is_file() and whole < (out / RESULTS).stat().st_size:
             os.truncate(out / RESULTS, whole)
         yield Results(out=out, lock=lock.fileno(), rows={(r["case"], r["variant"]): r for r in rows})
 
@@ -204,9 +204,9 @@ class Results:
     def adopt(self, asked: Asked) -> None:
         """Gives a trial its row that was complete when its runner was killed."""
         folder = self.folder(asked)
-        if asked.key in self.rows or not (folder / TRIAL).is_file() or not (folder / ASKED).is_file():
+        if asked.key in self.rows or result_in(folder) is None or not (folder / ASKED).is_file():
             return
-        if (folder / ASKED).read_text() == asked.text():
+        if (folder / ASKED).read_bytes() == asked.text().encode():
             self.add(asked, row_of(asked, folder, status=0))
 
     def emptied(self, asked: Asked) -> Path:
@@ -269,7 +269,7 @@ def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -
 
 def _check_unchanged(asked: Asked, folder: Path, *, status: int) -> None:
     """Stops at a trial without a result while files change under the run: it and all that follow would be rows of errors."""
-    if (folder / TRIAL).is_file():
+    if result_in(folder) is not None:
         return
     changed = reason_of(status, folder / LOG) if status == CHANGED else ""
     if not changed and code_now() != this_code():  # it may have broken off at a file that was being written

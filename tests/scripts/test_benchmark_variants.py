@@ -165,9 +165,9 @@ def test_killed_anywhere_no_trial_is_lost_and_no_row_repeated(runs, undisturbed,
         try:
             runs.run_all(asked(), out, crew=PretendedCrew(life=life, order=order), onlooker=Nobody())
         except Killed:
-            whole = (out / "results.jsonl").read_bytes() if (out / "results.jsonl").exists() else b""
-            # The row that was being written when it happened.
-            (out / "results.jsonl").write_bytes(whole + whole.split(b"\n")[0][:torn])
+            # The row that was being written when it happened, the first of all among others.
+            with (out / "results.jsonl").open("ab") as file:
+                file.write((whole_out / "results.jsonl").read_bytes().split(b"\n")[0][:torn])
     before = {(r["case"], r["variant"]) for r in map(json.loads, whole_lines(out))}
     crew = PretendedCrew(order=order)
     assert runs.run_all(asked(), out, crew=crew, onlooker=Nobody()) == expected
@@ -187,6 +187,19 @@ def test_a_trial_that_was_complete_but_had_no_row_gets_it_without_running_again(
     crew = PretendedCrew()
     runs.run_all(asked(), tmp_path, crew=crew, onlooker=Nobody())
     assert crew.ran == [] and (tmp_path / "results.jsonl").read_bytes() == b"".join(lines)
+
+
+@pytest.mark.parametrize("torn", [b"", b'{"schema_version": 1, "rob', b"\0" * 4096, b"\xff\xfe"])
+@pytest.mark.parametrize("name", ["trial.json", "asked.json"])
+def test_a_trial_whose_result_a_power_cut_tore_is_run_again(runs, undisturbed, tmp_path, name, torn):
+    whole, rows = undisturbed
+    runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    lines = (tmp_path / "results.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "results.jsonl").write_bytes(b"".join(lines[1:]))
+    (tmp_path / rows[0]["folder"] / name).write_bytes(torn)
+    crew = PretendedCrew()
+    assert runs.run_all(asked(), tmp_path, crew=crew, onlooker=Nobody()) == rows and crew.ran == [asked()[0].key]
+    assert (tmp_path / "results.jsonl").read_bytes() == (whole / "results.jsonl").read_bytes()
 
 
 @pytest.mark.parametrize("change", [{"code": "c1"}, {"variant_sha256": "v1"}, {"suite": replace(SUITE, scenarios={"rock_field": "1"})}])
