@@ -21,11 +21,22 @@ from typing import Any, BinaryIO, Literal, Protocol
 
 from athlete_twin.errors import ConfigError, RecordingError
 from envs.suite import Case, Suite
-from envs.suite_trial import ASKED, CHANGED, LOG, Asked, code_now, reason_of, result_in, row_of, this_code, variant_sha256
+from envs.suite_trial import (
+    ASKED,
+    CHANGED,
+    LOG,
+    Asked,
+    code_now,
+    reason_of,
+    result_in,
+    row_of,
+    this_code,
+    variant_sha256,
+)
 from envs.trial import usable_folder
 
 Row = dict[str, Any]
-RESULTS, TRIALS, LOCK = "results.jsonl", "trials", ".lock"
+RESULTS, TRIALS, LOCK, VARIANTS = "results.jsonl", "trials", ".lock", "variants.txt"
 PATIENCE = 5.0
 """for which a lock is awaited: the trials of a runner that was killed end a moment after it [s]"""
 
@@ -104,6 +115,7 @@ def run_all(
         with results_of(out) as results:
             results.unwanted = unwanted
             results.check(asked)
+            results.note_variants(asked)
             if retry_errors:
                 results.forget_errors(asked)
             for one in asked:
@@ -171,6 +183,8 @@ class Results:
     rows: dict[tuple[str, str], Row]
     unwanted: Sequence[str] = ()
     """files of a trial that go when its row is there"""
+    variants: Sequence[str] = ()
+    """in the order in which this folder was first asked for them"""
 
     def folder(self, asked: Asked) -> Path:
         """Where a trial's files are."""
@@ -200,6 +214,13 @@ class Results:
             variant = row["variant"]
             if variant in files and row["provenance"].get("variant_sha256") != files[variant]:
                 raise ConfigError(f"{self.out}: variant {variant} has changed since its trials were run; {way_out}")
+
+    def note_variants(self, asked: Sequence[Asked]) -> None:
+        """Notes the variants in the order in which this folder was first asked for them: what joins later is not the baseline."""
+        path = self.out / VARIANTS
+        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        self.variants = list(dict.fromkeys([*known, *(variant for _, variant in self.rows), *(a.variant for a in asked)]))
+        _replace(path, [f"{variant}\n".encode() for variant in self.variants])
 
     def adopt(self, asked: Asked) -> None:
         """Gives a trial its row that was complete when its runner was killed."""
@@ -238,16 +259,17 @@ class Results:
         self._rewrite()
 
     def sort(self, asked: Sequence[Asked]) -> None:
-        """Puts the rows into the order of what was asked, others behind: two runs then agree line by line but for timings."""
-        order = {a.key: i for i, a in enumerate(asked)}
-        self.rows = dict(sorted(self.rows.items(), key=lambda item: (order.get(item[0], len(order)), item[0])))
+        """Puts the rows into an order: variants as noted, of each the cases as asked, others behind.
+
+        Two runs then agree line by line but for timings.
+        """
+        variants = {variant: i for i, variant in enumerate(self.variants)}
+        cases = {case: i for i, case in enumerate(dict.fromkeys(a.case.id for a in asked))}
+        self.rows = dict(sorted(self.rows.items(), key=lambda item: (variants[item[0][1]], cases.get(item[0][0], len(cases)), item[0])))
         self._rewrite()
 
     def _rewrite(self) -> None:
-        part = self.out / f"{RESULTS}.part"
-        with _on_disk(part, "wb") as file:
-            file.writelines(_line(row) for row in self.rows.values())
-        part.replace(self.out / RESULTS)
+        _replace(self.out / RESULTS, [_line(row) for row in self.rows.values()])
 
 
 def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -> None:
@@ -291,6 +313,14 @@ def _on_disk(path: Path, mode: Literal["ab", "wb"]) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
     except OSError as e:
         raise RecordingError(f"{path} cannot be written: {e.strerror}; make room, the same command then goes on from there") from e
+
+
+def _replace(path: Path, lines: Sequence[bytes]) -> None:
+    """Writes a file anew, whole or not at all."""
+    part = path.with_name(f"{path.name}.part")
+    with _on_disk(part, "wb") as file:
+        file.writelines(lines)
+    part.replace(path)
 
 
 def _line(row: Row) -> bytes:

@@ -15,6 +15,7 @@ import tempfile
 import time
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
@@ -139,7 +140,7 @@ def rows_in(out):
 def test_every_trial_is_a_row_with_every_key_in_the_order_asked_for(runs, tmp_path):
     crew, onlooker = PretendedCrew(order=3), Nobody()
     rows = runs.run_all(asked(), tmp_path, crew=crew, onlooker=onlooker)
-    assert rows == rows_in(tmp_path) and crew.stopped
+    assert rows_in(tmp_path) == sorted(rows, key=lambda r: r["variant"] == "sway") and crew.stopped
     assert [(r["case"], r["variant"]) for r in rows] == [a.key for a in asked()]
     keys = {f.name for f in fields(TrialResult)} | {"case", "delay_s", "folder", "cycles", "time_limit_s", "capped"}
     assert all(set(r) == keys for r in rows)
@@ -237,6 +238,34 @@ def test_more_variants_and_robots_join_the_same_folder(runs, tmp_path):
     assert len(rows) == 8 and len(crew.ran) == 6 and len(rows_in(tmp_path)) == 8
 
 
+def first_seen(out):
+    return list(dict.fromkeys(r["variant"] for r in rows_in(out)))
+
+
+def test_a_variant_that_joins_later_does_not_become_the_first(runs, tmp_path):
+    sdm_b, t12 = ([a for a in asked(variants="cba") if a.case.robot == robot] for robot in ("sdm_b", "t12"))
+    with pytest.raises(Killed):  # after the first row, which is not of the first variant
+        runs.run_all([a for a in sdm_b if a.variant in "ac"], tmp_path, crew=PretendedCrew(life=4), onlooker=Nobody())
+    assert first_seen(tmp_path) == ["a"]
+    for one, order in (("a", ["c", "a"]), ("b", ["c", "a", "b"])):
+        runs.run_all([a for a in sdm_b if a.variant in ("c", one)], tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+        assert first_seen(tmp_path) == order
+    runs.run_all([a for a in t12 if a.variant == "b"], tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    runs.run_all([a for a in sdm_b if a.variant in "ba"], tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    assert first_seen(tmp_path) == ["c", "a", "b"] and len(rows_in(tmp_path)) == 8
+
+
+def test_the_report_is_told_of_the_baseline_and_metrics_that_were_asked_for(script, runs, tmp_path, monkeypatch):
+    script("comparison_films")
+    main, told = script("benchmark_variants"), []
+    report = SimpleNamespace(write_report=lambda folder, **options: told.append(options), __spec__=SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "variant_report", report)
+    for more in ({}, {"baseline": "sway", "metrics": ("success",)}):
+        main._after(main.Options(variants=("blind",), out=tmp_path, films=False, **more), [])
+    assert told == [{"metrics": None, "baseline": None}, {"metrics": ("success",), "baseline": "sway"}]
+    runs.run_all(asked(variants=["sway"]), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    main.check_baseline("sway", ["blind"], tmp_path)
+
 def test_what_cannot_be_run_is_a_row_with_its_reason_and_run_again_when_asked(runs, tmp_path):
     bad = asked()[3].key
     rows = runs.run_all(asked(), tmp_path, crew=PretendedCrew(fails=[bad]), onlooker=Nobody())
@@ -322,13 +351,17 @@ def test_a_damaged_line_in_the_middle_is_refused(runs, tmp_path):
         runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
 
 
-def test_a_full_disk_is_one_line(runs, tmp_path, monkeypatch):
-    def full(_fd):
-        raise OSError(28, "No space left on device")
+def full_after(writes):
+    yield from [None] * writes
+    raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(RecordingError, match=r"results.jsonl cannot be written: No space left on device; make room"):
-        runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+
+def test_a_full_disk_is_one_line(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda _fd: next(room))
+    for writes, name in ((0, "variants.txt.part"), (1, "results.jsonl")):
+        room = full_after(writes)
+        with pytest.raises(RecordingError, match=rf"{name} cannot be written: No space left on device; make room"):
+            runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
 
 
 def test_folders_are_named_for_the_trial_and_never_shared():
@@ -406,6 +439,7 @@ def test_the_bar_shows_trials_errors_and_time_on_a_terminal_and_nothing_elsewher
         ("--variants blind --suite small --workers 9999", "--ray takes it to others"),
         ("--variants blind --suite small --workers 0 --ray local", "workers is 0, must be 1 or more"),
         ("--variants blind --suite small --metrics speeed", "metric"),
+        ("--variants blind sway --suite small --baseline swaay", "baseline 'swaay' is not among the variants: blind, sway"),
     ],
 )
 def test_bad_usage_is_one_line_and_touches_nothing(script, capsys, tmp_path, options, message):
@@ -527,8 +561,8 @@ def test_two_runs_agree_but_for_timings_and_variants_are_paired(tmp_path):
         assert run.communicate()[1] == "" and run.returncode == 0
     rows = comparable(tmp_path / "a")
     assert rows == comparable(tmp_path / "b")
-    assert [(r["robot"], r["variant"]) for r in rows] == [(r, v) for r in ("sdm_b", "t12") for v in ("blind", "sway")]
-    assert rows[0]["case"] == rows[1]["case"] == "sdm_b-rock_field-4-5"
+    assert [(r["robot"], r["variant"]) for r in rows] == [(r, v) for v in ("blind", "sway") for r in ("sdm_b", "t12")]
+    assert rows[0]["case"] == rows[2]["case"] == "sdm_b-rock_field-4-5"
     assert all(r["trajectory_sha256"] and r["suite_sha256"] for r in rows)
 
 
