@@ -5,9 +5,11 @@ mock in real processes and kill these and the runner for real.
 """
 
 import fcntl
+import io
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -20,6 +22,7 @@ from types import SimpleNamespace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich.console import Console
 
 from athlete_twin.assets import named_toml
 from athlete_twin.errors import ConfigError, RecordingError
@@ -405,21 +408,32 @@ def test_time_left_is_what_the_like_took_shared_among_workers(script):
     assert [progress.duration(s) for s in (5.0, 600.0, 12000.0)] == ["5 s", "10 min", "3 h 20 min"]
 
 
-def test_the_bar_shows_trials_errors_and_time_on_a_terminal_and_nothing_elsewhere(script, runs, tmp_path):
-    import io
+def shown(script, runs, out, *, terminal, seconds_a_trial):
+    """What a run's bar writes when a trial ends every so many seconds."""
 
-    from rich.console import Console
+    class TimedCrew(PretendedCrew):
+        now = 0.0
 
-    for terminal in (True, False):
-        screen = io.StringIO()
-        now = iter(range(10_000))
-        bar = script("run_progress").Bar(
-            Console(file=screen, force_terminal=terminal, width=150), clock=lambda now=now: float(next(now))
-        )
-        with bar:
-            crew = PretendedCrew(fails=[asked()[0].key])
-            runs.run_all(asked(), tmp_path / str(terminal), crew=crew, onlooker=bar)
-        assert ("8/8" in screen.getvalue() and "1 errors" in screen.getvalue() and "left" in screen.getvalue()) == terminal
+        def ended(self):
+            self.now += seconds_a_trial
+            return super().ended()
+
+    screen, crew = io.StringIO(), TimedCrew(size=1, fails=[asked()[0].key])
+    with script("run_progress").Bar(Console(file=screen, force_terminal=terminal, width=150), clock=lambda: crew.now) as bar:
+        runs.run_all(asked(), out, crew=crew, onlooker=bar)
+    return screen.getvalue()
+
+
+def test_a_terminal_shows_trials_errors_and_time(script, runs, tmp_path):
+    told = shown(script, runs, tmp_path, terminal=True, seconds_a_trial=1.0)
+    assert "8/8" in told and "1 errors" in told and "left" in told and "trials done" not in told
+
+
+@pytest.mark.parametrize(("seconds", "done"), [(5.0, []), (25.0, [3, 6]), (300.0, [1, 2, 3, 4, 5, 6, 7, 8])])
+def test_off_a_terminal_a_plain_line_follows_a_trial_once_a_minute_at_most(script, runs, tmp_path, seconds, done):
+    lines = shown(script, runs, tmp_path, terminal=False, seconds_a_trial=seconds).splitlines()
+    assert [re.sub(r"about .* left", "", line) for line in lines] == [f"{n} of 8 trials done, 1 errors, " for n in done]
+    assert all(re.search(r"about \d+ (s|min) left$", line) for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -513,6 +527,12 @@ def compare(out, *options, variants=("blind",), seeds="0:2", limit="60", robots=
     )  # fmt: skip
 
 
+def complaints(run):
+    """What a run that ends says beside how far it is."""
+    told = run.communicate()[1].splitlines()
+    return [line for line in told if " trials done, " not in line]
+
+
 def comparable(out):
     return [{k: v for k, v in row.items() if k not in TIMINGS} for row in rows_in(out)]
 
@@ -534,7 +554,7 @@ def awaited(condition, seconds=180.0):
 def test_killed_for_real_nobody_writes_on_and_the_rest_is_run_once(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     done = compare(whole, "--workers", "1", variants=("blind", "sway"))
-    assert done.communicate()[1] == "" and done.returncode == 0
+    assert complaints(done) == [] and done.returncode == 0
     dice = random.Random(5)
     for kill in range(4):
         run = compare(killed, variants=("blind", "sway"))
@@ -548,7 +568,7 @@ def test_killed_for_real_nobody_writes_on_and_the_rest_is_run_once(tmp_path):
                 file.write('{"schema_version": 1, "robot": "sd')
     kept = {(r["case"], r["variant"]): r["wall_time_s"] for r in map(json.loads, whole_lines(killed)) if "case" in r}
     last = compare(killed, variants=("blind", "sway"))
-    assert last.communicate()[1] == "" and last.returncode == 0
+    assert complaints(last) == [] and last.returncode == 0
     assert comparable(killed) == comparable(whole) and len(rows_in(killed)) == 4
     # What had a row was not run again: its time is still the same.
     assert all(kept.get((r["case"], r["variant"]), r["wall_time_s"]) == r["wall_time_s"] for r in rows_in(killed))
@@ -558,7 +578,7 @@ def test_killed_for_real_nobody_writes_on_and_the_rest_is_run_once(tmp_path):
 def test_two_runs_agree_but_for_timings_and_variants_are_paired(tmp_path):
     for name, workers in (("a", "1"), ("b", "2")):
         run = compare(tmp_path / name, "--workers", workers, variants=("blind", "sway"), robots=("sdm_b", "t12"), seeds="4")
-        assert run.communicate()[1] == "" and run.returncode == 0
+        assert complaints(run) == [] and run.returncode == 0
     rows = comparable(tmp_path / "a")
     assert rows == comparable(tmp_path / "b")
     assert [(r["robot"], r["variant"]) for r in rows] == [(r, v) for v in ("blind", "sway") for r in ("sdm_b", "t12")]
@@ -631,7 +651,7 @@ def test_a_planner_of_ones_own_is_compared_and_noticed_when_it_changes(tmp_path)
     own = tmp_path / "my_planner.py"
     own.write_text(EXAMPLE)
     run = compare(tmp_path / "out", variants=("blind", "my_planner:Driver"), seeds="0", cwd=tmp_path)
-    assert run.communicate()[1] == "" and run.returncode == 0
+    assert complaints(run) == [] and run.returncode == 0
     rows = rows_in(tmp_path / "out")
     assert [r["variant"] for r in rows] == ["blind", "my_planner:Driver"] and rows[1]["outcome"] != "error", rows[1]["reason"]
     own.write_text(EXAMPLE + "# changed\n")
