@@ -157,9 +157,11 @@ def check_caps(variants: Sequence[str], suite: str, cases: Sequence[Any]) -> Non
         return
     for name in variants:
         found = variant_named(name)
-        outside = isinstance(found, OutsidePlanner)
-        if outside or found.content.get("driving") == "on":
-            why = "a planner from outside need propose no steps" if outside else "a planner that drives takes no steps meanwhile"
+        if isinstance(found, OutsidePlanner):
+            why = "a planner from outside need propose no steps"
+        else:
+            why = "a planner that drives takes no steps meanwhile" if found.content.get("driving") == "on" else ""
+        if why:
             raise ConfigError(
                 f"variant {name} cannot be compared where trials end after {capped.cycles} gait cycles ({capped.id} of suite {suite}): "
                 f"{why}; take --suite full, or --scenarios and --seeds without --cycles"
