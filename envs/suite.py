@@ -57,6 +57,8 @@ class Case:
     """the trial ends after so many gait cycles"""
     time_limit: float
     """mission time [s]"""
+    capped: bool
+    """whether `cycles` are fewer than the scenario's own"""
 
     def __post_init__(self) -> None:
         if self.seed < 0:
@@ -157,7 +159,16 @@ def suite_of(
         for delay in delays
         for robot in robots
     ]
-    return Suite(name="ad hoc", description="", cases=tuple(cases), scenarios=_hashes(loaded))
+    hashes = {Path(name).stem: scenario_sha256(name, scenario) for name, scenario in loaded.items()}
+    return Suite(name="ad hoc", description="", cases=tuple(cases), scenarios=MappingProxyType(hashes))
+
+
+def scenario_sha256(name: str, scenario: Scenario) -> str:
+    """Hash over the text of a scenario, named so, and over the measured map it names."""
+    digest = hashlib.sha256(named_toml("scenarios", name).read_bytes())
+    if scenario.file is not None:
+        digest.update(scenario.file.read_bytes())
+    return digest.hexdigest()
 
 
 def seeds_of(text: str) -> tuple[int, ...]:
@@ -194,17 +205,8 @@ def _case(
     return Case(
         robot=robot, scenario=name, seed=seed, delay=float(delay), cycles=scenario.cycles if cycles is None else cycles,
         time_limit=scenario.time_limit if time_limit is None else float(time_limit),
+        capped=cycles is not None and cycles < scenario.cycles,
     )  # fmt: skip
-
-
-def _hashes(scenarios: Mapping[str, Scenario]) -> Mapping[str, str]:
-    out = {}
-    for name, scenario in scenarios.items():
-        digest = hashlib.sha256(named_toml("scenarios", name).read_bytes())
-        if scenario.file is not None:
-            digest.update(scenario.file.read_bytes())
-        out[Path(name).stem] = digest.hexdigest()
-    return MappingProxyType(out)
 
 
 def _suite_from_content(content: dict[str, Any], path: Path) -> Suite:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -351,9 +352,12 @@ def trajectory_sha256(track: Iterable[TrackView]) -> str:
 
 
 def write_json(path: Path, content: dict[str, Any]) -> None:
-    """Write a JSON file whole or not at all; what is not finite becomes null."""
+    """Write a JSON file whole or not at all, even if the power goes; what is not finite becomes null."""
     part = path.with_name(path.name + ".part")
-    part.write_text(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
+    with part.open("w", encoding="utf-8") as file:
+        file.write(json.dumps(_finite(content), indent=2, allow_nan=False) + "\n")
+        file.flush()
+        os.fsync(file.fileno())
     part.replace(path)
 
 

@@ -59,6 +59,8 @@ class Options:
     """folder for the results"""
     metrics: tuple[str, ...] = ()
     """figures that the report compares; its own choice when not given"""
+    baseline: str | None = None
+    """variant that the report holds all others against; the one that this folder was first asked for when not given"""
     films: bool = True
     """film the best, median and worst trial of each robot with each variant"""
     keep: Literal["all", "filmed", "none"] = "all"
@@ -96,7 +98,9 @@ def _compare(options: Options) -> None:
     suite = chosen_suite(options)
     cases = suite.of_robots(options.robots)
     check_variants(options.variants)
+    check_caps(options.variants, suite.name, cases)
     _check_metrics(options.metrics)
+    check_baseline(options.baseline, options.variants, options.out)
     check_workers(options.workers, cluster=options.ray is not None)
     asked = asked_for(suite, cases, options.variants, body=options.body)
     if options.dry_run:
@@ -144,6 +148,26 @@ def check_variants(variants: Sequence[str]) -> None:
         check_variant(variant)
 
 
+def check_caps(variants: Sequence[str], suite: str, cases: Sequence[Any]) -> None:
+    """Refuses variants that a limit of gait cycles would not stop where it stops others: they would be compared as pairs all the same."""
+    from envs.variants import OutsidePlanner, variant_named
+
+    capped = next((case for case in cases if case.capped), None)
+    if capped is None:
+        return
+    for name in variants:
+        found = variant_named(name)
+        if isinstance(found, OutsidePlanner):
+            why = "a planner from outside need propose no steps"
+        else:
+            why = "a planner that drives takes no steps meanwhile" if found.content.get("driving") == "on" else ""
+        if why:
+            raise ConfigError(
+                f"variant {name} cannot be compared where trials end after {capped.cycles} gait cycles ({capped.id} of suite {suite}): "
+                f"{why}; take --suite full, or --scenarios and --seeds without --cycles"
+            )
+
+
 def check_workers(workers: int | None, *, cluster: bool) -> None:
     """Refuses a number of workers that cannot be."""
     from trial_crews import local_cores
@@ -169,6 +193,15 @@ def check_room(asked: Sequence[Any], out: Path) -> None:
             f"the recordings would take roughly {needed:.0f} GB, and {out} has {free:.0f} GB left; another --out, or without "
             "recordings by --keep none --no-films"
         )
+
+
+def check_baseline(baseline: str | None, variants: Sequence[str], out: Path) -> None:
+    """Refuses a baseline that is neither run now nor was run into the folder before."""
+    from variant_runs import RESULTS, read_rows
+
+    there = dict.fromkeys([*variants, *(row["variant"] for row in read_rows(out / RESULTS)[0])])
+    if baseline is not None and baseline not in there:
+        raise ConfigError(f"baseline {baseline!r} is not among the variants: {', '.join(there)}")
 
 
 def _check_metrics(metrics: Sequence[str]) -> None:
@@ -210,7 +243,7 @@ def _after(options: Options, rows: Sequence[dict[str, Any]]) -> None:
         sys.stdout.write(f"  {row['case']} {row['variant']}: {row['reason']}\n")
     if importlib.util.find_spec("variant_report") is not None:
         write_report = importlib.import_module("variant_report").write_report
-        path = write_report(options.out, metrics=options.metrics) if options.metrics else write_report(options.out)
+        path = write_report(options.out, metrics=options.metrics or None, baseline=options.baseline)
         sys.stdout.write(f"report: {path}\n")
 
 

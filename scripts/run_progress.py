@@ -1,4 +1,4 @@
-"""How far a comparison is and how long it still takes, from what its trials took so far; quiet where nobody looks."""
+"""How far a comparison is and how long it still takes, from what its trials took so far."""
 
 from __future__ import annotations
 
@@ -22,6 +22,9 @@ METRES_A_CYCLE = {"sdm_b": 0.6, "t12": 1.4}
 """walked, in the same trials"""
 START = 8.0
 """of a process, its libraries and its first pictures [s]"""
+
+LINES_APART = 60.0
+"""least time between two plain lines, and before the first [s]"""
 
 
 class TimeLeft:
@@ -63,7 +66,7 @@ def megabytes(asked: Asked) -> float:
 
 
 class Bar:
-    """Trials done, trials that could not be run and time left, on a terminal; nothing elsewhere."""
+    """Trials done, trials that could not be run and time left: a bar on a terminal; elsewhere a plain line, a minute or more apart."""
 
     def __init__(self, console: Console, *, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
@@ -71,6 +74,8 @@ class Bar:
             TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[errors]} errors"), TimeElapsedColumn(),
             TextColumn("{task.fields[left]}"), console=console, disable=not console.is_terminal, transient=True,
         )  # fmt: skip
+        self._console = console
+        self._told = clock()
         self._task = self._shown.add_task("trials", total=None, errors=0, left="")
         self._errors = 0
 
@@ -88,7 +93,8 @@ class Bar:
         self._since: dict[tuple[str, str], tuple[Asked, float]] = {}
         for row in rows:
             self._counted(self._todo.pop((row["case"], row["variant"])), row)
-        self._shown.update(self._task, total=len(asked), completed=len(rows))
+        self._total = len(asked)
+        self._shown.update(self._task, total=self._total, completed=len(rows))
         self.waits()
 
     def started(self, asked: Asked) -> None:
@@ -102,12 +108,21 @@ class Bar:
         self._counted(asked, row)
         self._shown.advance(self._task)
         self.waits()
+        now = self._clock()
+        if not self._console.is_terminal and now - self._told >= LINES_APART:
+            self._told = now
+            done = self._total - len(self._todo) - len(self._since)
+            self._console.file.write(f"{done} of {self._total} trials done, {self._errors} errors, {self._left()}\n")
+            self._console.file.flush()
 
     def waits(self) -> None:
         """Brings the time left up to date."""
+        self._shown.update(self._task, errors=self._errors, left=self._left())
+
+    def _left(self) -> str:
         now = self._clock()
         left = self.time_left.left(self._todo.values(), [(asked, now - since) for asked, since in self._since.values()])
-        self._shown.update(self._task, errors=self._errors, left=f"about {duration(left)} left")
+        return f"about {duration(left)} left"
 
     def _counted(self, asked: Asked, row: dict[str, Any]) -> None:
         self._errors += row["outcome"] == "error"

@@ -8,7 +8,6 @@ but had no row gets it, and one that was half done is done anew.
 from __future__ import annotations
 
 import fcntl
-import hashlib
 import json
 import os
 import shutil
@@ -22,12 +21,22 @@ from typing import Any, BinaryIO, Literal, Protocol
 
 from athlete_twin.errors import ConfigError, RecordingError
 from envs.suite import Case, Suite
-from envs.suite_trial import ASKED, TRIAL, Asked, row_of, this_code
+from envs.suite_trial import (
+    ASKED,
+    CHANGED,
+    LOG,
+    Asked,
+    code_now,
+    reason_of,
+    result_in,
+    row_of,
+    this_code,
+    variant_sha256,
+)
 from envs.trial import usable_folder
-from envs.variants import OutsidePlanner, variant_named
 
 Row = dict[str, Any]
-RESULTS, TRIALS, LOCK = "results.jsonl", "trials", ".lock"
+RESULTS, TRIALS, LOCK, VARIANTS = "results.jsonl", "trials", ".lock", "variants.txt"
 PATIENCE = 5.0
 """for which a lock is awaited: the trials of a runner that was killed end a moment after it [s]"""
 
@@ -69,18 +78,18 @@ def asked_for(suite: Suite, cases: Sequence[Case], variants: Sequence[str], *, b
     sha256, code = suite.sha256, this_code()
     files = {variant: variant_sha256(variant) for variant in variants}
     return [
-        Asked(case=case, variant=v, body=body, suite_sha256=sha256, code_sha256=code, variant_sha256=files[v])
+        Asked(
+            case=case,
+            variant=v,
+            body=body,
+            suite_sha256=sha256,
+            code_sha256=code,
+            variant_sha256=files[v],
+            scenario_sha256=suite.scenarios[Path(case.scenario).stem],
+        )
         for case in cases
         for v in variants
     ]
-
-
-def variant_sha256(variant: str) -> str:
-    """Hash of what a variant is: its content with its base's, or a planner's source; empty where that lies in no file."""
-    found = variant_named(variant)
-    if isinstance(found, OutsidePlanner):
-        return found.sha256
-    return hashlib.sha256(json.dumps(found.content, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def run_all(
@@ -106,6 +115,7 @@ def run_all(
         with results_of(out) as results:
             results.unwanted = unwanted
             results.check(asked)
+            results.note_variants(asked)
             if retry_errors:
                 results.forget_errors(asked)
             for one in asked:
@@ -158,14 +168,14 @@ def results_of(out: Path) -> Iterator[Results]:
         lock.write(f"{os.getpid()}\n")
         lock.flush()
         rows, whole = read_rows(out / RESULTS)
-        if rows and whole < (out / RESULTS).stat().st_size:
+        if (out / RESULTS).is_file() and whole < (out / RESULTS).stat().st_size:
             os.truncate(out / RESULTS, whole)
         yield Results(out=out, lock=lock.fileno(), rows={(r["case"], r["variant"]): r for r in rows})
 
 
 @dataclass(kw_only=True)
 class Results:
-    """Rows on the disk and in memory, by case and variant."""
+    """Rows on the disk and in memory, by case and variant. All bear the commit that the first was run at."""
 
     out: Path
     lock: int
@@ -173,6 +183,8 @@ class Results:
     rows: dict[tuple[str, str], Row]
     unwanted: Sequence[str] = ()
     """files of a trial that go when its row is there"""
+    variants: Sequence[str] = ()
+    """in the order in which this folder was first asked for them"""
 
     def folder(self, asked: Asked) -> Path:
         """Where a trial's files are."""
@@ -203,12 +215,19 @@ class Results:
             if variant in files and row["provenance"].get("variant_sha256") != files[variant]:
                 raise ConfigError(f"{self.out}: variant {variant} has changed since its trials were run; {way_out}")
 
+    def note_variants(self, asked: Sequence[Asked]) -> None:
+        """Notes the variants in the order in which this folder was first asked for them: what joins later is not the baseline."""
+        path = self.out / VARIANTS
+        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        self.variants = list(dict.fromkeys([*known, *(variant for _, variant in self.rows), *(a.variant for a in asked)]))
+        _replace(path, [f"{variant}\n".encode() for variant in self.variants])
+
     def adopt(self, asked: Asked) -> None:
         """Gives a trial its row that was complete when its runner was killed."""
         folder = self.folder(asked)
-        if asked.key in self.rows or not (folder / TRIAL).is_file() or not (folder / ASKED).is_file():
+        if asked.key in self.rows or result_in(folder) is None or not (folder / ASKED).is_file():
             return
-        if (folder / ASKED).read_text() == asked.text():
+        if (folder / ASKED).read_bytes() == asked.text().encode():
             self.add(asked, row_of(asked, folder, status=0))
 
     def emptied(self, asked: Asked) -> Path:
@@ -221,7 +240,10 @@ class Results:
 
     def add(self, asked: Asked, row: Row) -> Row:
         """The row as it was written; it is on the disk when this returns."""
-        line = _line(row | {"folder": f"{TRIALS}/{asked.folder}"})
+        # Its code is the same to the byte, whatever has been committed beside it since.
+        began_at = next(iter(self.rows.values()), row)["provenance"].get("git_sha")
+        row = row | {"folder": f"{TRIALS}/{asked.folder}", "provenance": row["provenance"] | {"git_sha": began_at}}
+        line = _line(row)
         with _on_disk(self.out / RESULTS, "ab") as file:
             file.write(line)
         row = json.loads(line)
@@ -237,16 +259,17 @@ class Results:
         self._rewrite()
 
     def sort(self, asked: Sequence[Asked]) -> None:
-        """Puts the rows into the order of what was asked, others behind: two runs then agree line by line but for timings."""
-        order = {a.key: i for i, a in enumerate(asked)}
-        self.rows = dict(sorted(self.rows.items(), key=lambda item: (order.get(item[0], len(order)), item[0])))
+        """Puts the rows into an order: variants as noted, of each the cases as asked, others behind.
+
+        Two runs then agree line by line but for timings.
+        """
+        variants = {variant: i for i, variant in enumerate(self.variants)}
+        cases = {case: i for i, case in enumerate(dict.fromkeys(a.case.id for a in asked))}
+        self.rows = dict(sorted(self.rows.items(), key=lambda item: (variants[item[0][1]], cases.get(item[0][0], len(cases)), item[0])))
         self._rewrite()
 
     def _rewrite(self) -> None:
-        part = self.out / f"{RESULTS}.part"
-        with _on_disk(part, "wb") as file:
-            file.writelines(_line(row) for row in self.rows.values())
-        part.replace(self.out / RESULTS)
+        _replace(self.out / RESULTS, [_line(row) for row in self.rows.values()])
 
 
 def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -> None:
@@ -259,9 +282,25 @@ def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -
         ended = crew.ended()
         for asked, status in ended:
             running -= 1
-            onlooker.row(asked, results.add(asked, row_of(asked, results.folder(asked), status=status)))
+            folder = results.folder(asked)
+            _check_unchanged(asked, folder, status=status)
+            onlooker.row(asked, results.add(asked, row_of(asked, folder, status=status)))
         if not ended:
             onlooker.waits()
+
+
+def _check_unchanged(asked: Asked, folder: Path, *, status: int) -> None:
+    """Stops at a trial without a result while files change under the run: it and all that follow would be rows of errors."""
+    if result_in(folder) is not None:
+        return
+    changed = reason_of(status, folder / LOG) if status == CHANGED else ""
+    if not changed and code_now() != this_code():  # it may have broken off at a file that was being written
+        changed = "the code, the drawings or the libraries"
+    if changed:
+        raise ConfigError(
+            f"stopped before {asked.case.id} {asked.variant}, which has no row: where it was to run, {changed} changed under the run; "
+            "restore that, or name another --out; the same command goes on from there"
+        )
 
 
 @contextmanager
@@ -274,6 +313,14 @@ def _on_disk(path: Path, mode: Literal["ab", "wb"]) -> Iterator[BinaryIO]:
             os.fsync(file.fileno())
     except OSError as e:
         raise RecordingError(f"{path} cannot be written: {e.strerror}; make room, the same command then goes on from there") from e
+
+
+def _replace(path: Path, lines: Sequence[bytes]) -> None:
+    """Writes a file anew, whole or not at all."""
+    part = path.with_name(f"{path.name}.part")
+    with _on_disk(part, "wb") as file:
+        file.writelines(lines)
+    part.replace(path)
 
 
 def _line(row: Row) -> bytes:

@@ -19,7 +19,7 @@ from athlete_twin.world.scenario import load_scenario
 from athlete_twin.world.terrain import generator
 from envs.suite import Case, Suite, frozen_table, load_suite, seeds_of, suite_of, unfrozen_suite
 
-CASE = {"robot": "sdm_b", "scenario": "rock_field", "seed": 3, "delay": 5.0, "cycles": 2, "time_limit": 600.0}
+CASE = {"robot": "sdm_b", "scenario": "rock_field", "seed": 3, "delay": 5.0, "cycles": 2, "time_limit": 600.0, "capped": True}
 DENSITIES = (0.03, 0.05, 0.10, 0.15)
 
 
@@ -71,7 +71,8 @@ def test_small_is_24_trials_of_three_variants_out_of_the_fields_of_full():
     assert sorted(load_scenario(c.scenario).rocks.k for c in small.of_robots(["t12"])) == list(DENSITIES)
     fields = {(c.robot, c.scenario, c.seed, c.delay) for c in load_suite("full").cases}
     assert {(c.robot, c.scenario, c.seed, c.delay) for c in small.cases} <= fields
-    assert {c.cycles for c in small.cases} == {1}
+    assert {c.cycles for c in small.cases} == {1} and all(c.capped for c in small.cases)
+    assert not any(c.capped for c in load_suite("full").cases)
 
 
 @pytest.mark.parametrize(("robot", "k", "seed"), [("sdm_b", 0.15, 75), ("t12", 0.15, 91), ("sdm_b", 0.10, 66), ("t12", 0.05, 38)])
@@ -132,6 +133,7 @@ def test_a_suite_by_path_need_not_be_frozen_but_one_of_the_assets_must(tmp_path,
 
 def test_all_of_a_field_comes_before_the_next_field():
     made = suite_of(robots=["sdm_b", "t12"], scenarios=["rock_field"], seeds=[5, 6], delays=[0.0, 5.0])
+    assert not any(case.capped for case in made.cases)
     assert [(c.seed, c.delay, c.robot) for c in made.cases] == [(s, d, r) for s in (5, 6) for d in (0, 5) for r in ("sdm_b", "t12")]
     scenario = load_scenario("rock_field")
     assert {(c.cycles, c.time_limit) for c in made.cases} == {(scenario.cycles, scenario.time_limit)}

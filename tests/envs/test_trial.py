@@ -1,5 +1,7 @@
 import dataclasses
 import json
+import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -245,8 +247,11 @@ def test_unusable_setups_are_refused(changes, said):
         setup(**changes)
 
 
-def test_json_is_written_whole_and_knows_no_nan(tmp_path):
+def test_json_is_written_whole_and_knows_no_nan(tmp_path, monkeypatch):
+    synced = []
+    monkeypatch.setattr(os, "fsync", lambda fd: synced.append(Path(f"/proc/self/fd/{fd}").readlink().read_text()))
     write_json(tmp_path / "a.json", {"x": float("nan"), "y": np.float64(1.5), "z": (np.int64(2), float("inf"))})
+    assert synced == [(tmp_path / "a.json").read_text()]  # on the disk before it has its name
     assert json.loads((tmp_path / "a.json").read_text()) == {"x": None, "y": 1.5, "z": [2, None]}
     assert [p.name for p in tmp_path.iterdir()] == ["a.json"]
 

@@ -5,9 +5,11 @@ mock in real processes and kill these and the runner for real.
 """
 
 import fcntl
+import io
 import json
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -15,14 +17,19 @@ import tempfile
 import time
 from dataclasses import fields, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rich.console import Console
 
+from athlete_twin.assets import named_toml
 from athlete_twin.errors import ConfigError, RecordingError
+from athlete_twin.world.scenario import load_scenario
+from envs.provenance import provenance
 from envs.suite import suite_of
-from envs.suite_trial import Asked, reason_of, row_of, this_code
+from envs.suite_trial import CHANGED, Asked, changed_from, code_now, reason_of, variant_sha256
 from envs.trial import OUTCOMES, TrialResult
 
 ROOT = Path(__file__).parents[2]
@@ -31,10 +38,21 @@ TIMINGS = ("wall_time_s", "stage_times_s", "provenance")
 SUITE = suite_of(robots=["sdm_b", "t12"], scenarios=["rock_field"], seeds=[0, 1], delays=[5.0], cycles=1)
 MOCK = ["--scenarios", "rock_field", "--body", "mock", "--no-films"]
 
+EXAMPLE = (ROOT / "docs/outside_planner.md").read_text().partition("```python\n")[2].partition("```")[0]
+"""a planner from outside"""
+
 
 def asked(*, variants=("blind", "sway"), suite=SUITE, code="c0", variant_sha256="v0"):
     return [
-        Asked(case=c, variant=v, body="mock", suite_sha256=suite.sha256, code_sha256=code, variant_sha256=variant_sha256)
+        Asked(
+            case=c,
+            variant=v,
+            body="mock",
+            suite_sha256=suite.sha256,
+            code_sha256=code,
+            variant_sha256=variant_sha256,
+            scenario_sha256=suite.scenarios["rock_field"],
+        )
         for c in suite.cases
         for v in variants
     ]
@@ -47,8 +65,8 @@ class Killed(BaseException):
 class PretendedCrew:
     """Runs nothing: a trial ends in time with figures made of its name, or leaves what a killed one leaves."""
 
-    def __init__(self, size=2, *, life=10**9, order=0, fails=()):
-        self.size, self.life, self.fails = size, life, fails
+    def __init__(self, size=2, *, life=10**9, order=0, fails=(), changed=(), git_sha="g"):
+        self.size, self.life, self.fails, self.changed, self.git_sha = size, life, fails, changed, git_sha
         self.ran, self.running, self.stopped = [], [], False
         self.dice = random.Random(order)
 
@@ -66,7 +84,10 @@ class PretendedCrew:
         if asked.key in self.fails:
             (folder / "log.txt").write_text("Traceback ...\n  in a file\nathlete_twin.errors.PlanningError: no way out\n")
             return [(asked, 1)]
-        (folder / "trial.json").write_text(json.dumps(pretended(asked)))
+        if asked.key in self.changed:
+            (folder / "log.txt").write_text("variant sway\n")
+            return [(asked, CHANGED)]
+        (folder / "trial.json").write_text(json.dumps(pretended(asked, git_sha=self.git_sha)))
         self._age()
         return [(asked, 0)]
 
@@ -96,10 +117,10 @@ class Nobody:
         self.told.append(("waits",))
 
 
-def pretended(one):
+def pretended(one, *, git_sha="g"):
     figures = dict.fromkeys((f.name for f in fields(TrialResult)), 0.0)
     known = {"robot": one.case.robot, "scenario": one.case.scenario, "variant": one.variant, "seed": one.case.seed}
-    return figures | known | {"outcome": "cycles_done", "reason": one.folder, "provenance": {"version": "0", "git_sha": "g"}}
+    return figures | known | {"outcome": "cycles_done", "reason": one.folder, "provenance": {"version": "0", "git_sha": git_sha}}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -122,11 +143,12 @@ def rows_in(out):
 def test_every_trial_is_a_row_with_every_key_in_the_order_asked_for(runs, tmp_path):
     crew, onlooker = PretendedCrew(order=3), Nobody()
     rows = runs.run_all(asked(), tmp_path, crew=crew, onlooker=onlooker)
-    assert rows == rows_in(tmp_path) and crew.stopped
+    assert rows_in(tmp_path) == sorted(rows, key=lambda r: r["variant"] == "sway") and crew.stopped
     assert [(r["case"], r["variant"]) for r in rows] == [a.key for a in asked()]
-    keys = {f.name for f in fields(TrialResult)} | {"case", "delay_s", "folder"}
+    keys = {f.name for f in fields(TrialResult)} | {"case", "delay_s", "folder", "cycles", "time_limit_s", "capped"}
     assert all(set(r) == keys for r in rows)
     assert all(r["suite_sha256"] == SUITE.sha256 and r["delay_s"] == 5.0 for r in rows)
+    assert all((r["cycles"], r["time_limit_s"], r["capped"]) == (1, load_scenario("rock_field").time_limit, True) for r in rows)
     assert all(json.loads((tmp_path / r["folder"] / "trial.json").read_text())["reason"] in r["folder"] for r in rows)
     assert onlooker.told[0] == ("begins", 8, 0, 2) and sum(t[0] == "row" for t in onlooker.told) == 8
 
@@ -147,9 +169,9 @@ def test_killed_anywhere_no_trial_is_lost_and_no_row_repeated(runs, undisturbed,
         try:
             runs.run_all(asked(), out, crew=PretendedCrew(life=life, order=order), onlooker=Nobody())
         except Killed:
-            whole = (out / "results.jsonl").read_bytes() if (out / "results.jsonl").exists() else b""
-            # The row that was being written when it happened.
-            (out / "results.jsonl").write_bytes(whole + whole.split(b"\n")[0][:torn])
+            # The row that was being written when it happened, the first of all among others.
+            with (out / "results.jsonl").open("ab") as file:
+                file.write((whole_out / "results.jsonl").read_bytes().split(b"\n")[0][:torn])
     before = {(r["case"], r["variant"]) for r in map(json.loads, whole_lines(out))}
     crew = PretendedCrew(order=order)
     assert runs.run_all(asked(), out, crew=crew, onlooker=Nobody()) == expected
@@ -169,6 +191,19 @@ def test_a_trial_that_was_complete_but_had_no_row_gets_it_without_running_again(
     crew = PretendedCrew()
     runs.run_all(asked(), tmp_path, crew=crew, onlooker=Nobody())
     assert crew.ran == [] and (tmp_path / "results.jsonl").read_bytes() == b"".join(lines)
+
+
+@pytest.mark.parametrize("torn", [b"", b'{"schema_version": 1, "rob', b"\0" * 4096, b"\xff\xfe"])
+@pytest.mark.parametrize("name", ["trial.json", "asked.json"])
+def test_a_trial_whose_result_a_power_cut_tore_is_run_again(runs, undisturbed, tmp_path, name, torn):
+    whole, rows = undisturbed
+    runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    lines = (tmp_path / "results.jsonl").read_bytes().splitlines(keepends=True)
+    (tmp_path / "results.jsonl").write_bytes(b"".join(lines[1:]))
+    (tmp_path / rows[0]["folder"] / name).write_bytes(torn)
+    crew = PretendedCrew()
+    assert runs.run_all(asked(), tmp_path, crew=crew, onlooker=Nobody()) == rows and crew.ran == [asked()[0].key]
+    assert (tmp_path / "results.jsonl").read_bytes() == (whole / "results.jsonl").read_bytes()
 
 
 @pytest.mark.parametrize("change", [{"code": "c1"}, {"variant_sha256": "v1"}, {"suite": replace(SUITE, scenarios={"rock_field": "1"})}])
@@ -206,6 +241,34 @@ def test_more_variants_and_robots_join_the_same_folder(runs, tmp_path):
     assert len(rows) == 8 and len(crew.ran) == 6 and len(rows_in(tmp_path)) == 8
 
 
+def first_seen(out):
+    return list(dict.fromkeys(r["variant"] for r in rows_in(out)))
+
+
+def test_a_variant_that_joins_later_does_not_become_the_first(runs, tmp_path):
+    sdm_b, t12 = ([a for a in asked(variants="cba") if a.case.robot == robot] for robot in ("sdm_b", "t12"))
+    with pytest.raises(Killed):  # after the first row, which is not of the first variant
+        runs.run_all([a for a in sdm_b if a.variant in "ac"], tmp_path, crew=PretendedCrew(life=4), onlooker=Nobody())
+    assert first_seen(tmp_path) == ["a"]
+    for one, order in (("a", ["c", "a"]), ("b", ["c", "a", "b"])):
+        runs.run_all([a for a in sdm_b if a.variant in ("c", one)], tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+        assert first_seen(tmp_path) == order
+    runs.run_all([a for a in t12 if a.variant == "b"], tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    runs.run_all([a for a in sdm_b if a.variant in "ba"], tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    assert first_seen(tmp_path) == ["c", "a", "b"] and len(rows_in(tmp_path)) == 8
+
+
+def test_the_report_is_told_of_the_baseline_and_metrics_that_were_asked_for(script, runs, tmp_path, monkeypatch):
+    script("comparison_films")
+    main, told = script("benchmark_variants"), []
+    report = SimpleNamespace(write_report=lambda folder, **options: told.append(options), __spec__=SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "variant_report", report)
+    for more in ({}, {"baseline": "sway", "metrics": ("success",)}):
+        main._after(main.Options(variants=("blind",), out=tmp_path, films=False, **more), [])
+    assert told == [{"metrics": None, "baseline": None}, {"metrics": ("success",), "baseline": "sway"}]
+    runs.run_all(asked(variants=["sway"]), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    main.check_baseline("sway", ["blind"], tmp_path)
+
 def test_what_cannot_be_run_is_a_row_with_its_reason_and_run_again_when_asked(runs, tmp_path):
     bad = asked()[3].key
     rows = runs.run_all(asked(), tmp_path, crew=PretendedCrew(fails=[bad]), onlooker=Nobody())
@@ -220,6 +283,52 @@ def test_what_cannot_be_run_is_a_row_with_its_reason_and_run_again_when_asked(ru
     assert runs.run_all(asked(), tmp_path, crew=again, onlooker=Nobody()) == rows and again.ran == []
     healed = runs.run_all(asked(), tmp_path, crew=again, onlooker=Nobody(), retry_errors=True)
     assert again.ran == [bad] and healed[3]["outcome"] == "cycles_done" and len(rows_in(tmp_path)) == 8
+
+
+def test_what_changes_under_a_run_stops_it_without_a_row_and_restored_it_goes_on(runs, undisturbed, tmp_path, monkeypatch):
+    whole, rows = undisturbed
+    crew = PretendedCrew(size=1, changed=[asked()[3].key])
+    message = "stopped before t12-rock_field-0-5 sway, which has no row: .* variant sway changed under the run; restore that, or name"
+    with pytest.raises(ConfigError, match=message):
+        runs.run_all(asked(), tmp_path, crew=crew, onlooker=Nobody())
+    assert len(rows_in(tmp_path)) == 3 and crew.stopped
+    # A trial that breaks off at a file of ours that is being edited says nothing of that itself.
+    edited = PretendedCrew(size=1, fails=[asked()[4].key])
+    with monkeypatch.context() as during, pytest.raises(ConfigError, match="the code, the drawings or the libraries changed under the"):
+        during.setattr(runs, "code_now", lambda: "edited")
+        runs.run_all(asked(), tmp_path, crew=edited, onlooker=Nobody())
+    assert len(rows_in(tmp_path)) == 4
+    assert runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody()) == rows
+    assert (tmp_path / "results.jsonl").read_bytes() == (whole / "results.jsonl").read_bytes()
+
+
+def test_a_commit_that_changes_no_source_does_not_end_a_comparison(runs, undisturbed, tmp_path, monkeypatch):
+    runs.run_all(asked()[:3], tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    rows = runs.run_all(asked(), tmp_path, crew=PretendedCrew(git_sha="later"), onlooker=Nobody())
+    assert rows == undisturbed[1] and {r["provenance"]["git_sha"] for r in rows} == {"g"}
+    before, now = code_now(), provenance()
+    monkeypatch.setattr("envs.suite_trial.provenance", lambda: now | {"git_sha": "later"})
+    assert code_now() == before
+    monkeypatch.setattr("envs.suite_trial.provenance", lambda: now | {"packages": {}})
+    assert code_now() != before
+
+
+def test_a_trial_tells_what_is_not_as_it_was_asked_for(runs, tmp_path):
+    scenario, variant = tmp_path / "field.toml", tmp_path / "mine.toml"
+    scenario.write_text(named_toml("scenarios", "rock_field").read_text())
+    variant.write_text('base = "integrated"\n')
+    suite = suite_of(robots=["t12"], scenarios=[str(scenario)], seeds=[0], delays=[5.0])
+    (one,) = runs.asked_for(suite, suite.cases, [str(variant)], body="mock")
+    assert changed_from(one) == ""
+    assert changed_from(replace(one, code_sha256="other")) == "the code, the drawings or the libraries"
+    for path, what in ((scenario, "scenario"), (variant, "variant")):
+        text = path.read_text()
+        path.write_text(f"{text}\nlevel_deck_deg = 0.1\n" if path == variant else text.replace("cycles = 30", "cycles = 29"))
+        assert changed_from(one) == f"{what} {path}"
+        path.write_text(f"{text}\nhalf a li")
+        assert changed_from(one).startswith("a file that can no longer be used (") and path.name in changed_from(one)
+        path.write_text(text)
+    assert changed_from(one) == "" and variant_sha256("integrated") == variant_sha256(str(variant))
 
 
 def test_unwanted_files_go_once_the_row_is_there(runs, tmp_path):
@@ -245,13 +354,17 @@ def test_a_damaged_line_in_the_middle_is_refused(runs, tmp_path):
         runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
 
 
-def test_a_full_disk_is_one_line(runs, tmp_path, monkeypatch):
-    def full(_fd):
-        raise OSError(28, "No space left on device")
+def full_after(writes):
+    yield from [None] * writes
+    raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(RecordingError, match=r"results.jsonl cannot be written: No space left on device; make room"):
-        runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+
+def test_a_full_disk_is_one_line(runs, tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "fsync", lambda _fd: next(room))
+    for writes, name in ((0, "variants.txt.part"), (1, "results.jsonl")):
+        room = full_after(writes)
+        with pytest.raises(RecordingError, match=rf"{name} cannot be written: No space left on device; make room"):
+            runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
 
 
 def test_folders_are_named_for_the_trial_and_never_shared():
@@ -295,21 +408,32 @@ def test_time_left_is_what_the_like_took_shared_among_workers(script):
     assert [progress.duration(s) for s in (5.0, 600.0, 12000.0)] == ["5 s", "10 min", "3 h 20 min"]
 
 
-def test_the_bar_shows_trials_errors_and_time_on_a_terminal_and_nothing_elsewhere(script, runs, tmp_path):
-    import io
+def shown(script, runs, out, *, terminal, seconds_a_trial):
+    """What a run's bar writes when a trial ends every so many seconds."""
 
-    from rich.console import Console
+    class TimedCrew(PretendedCrew):
+        now = 0.0
 
-    for terminal in (True, False):
-        screen = io.StringIO()
-        now = iter(range(10_000))
-        bar = script("run_progress").Bar(
-            Console(file=screen, force_terminal=terminal, width=150), clock=lambda now=now: float(next(now))
-        )
-        with bar:
-            crew = PretendedCrew(fails=[asked()[0].key])
-            runs.run_all(asked(), tmp_path / str(terminal), crew=crew, onlooker=bar)
-        assert ("8/8" in screen.getvalue() and "1 errors" in screen.getvalue() and "left" in screen.getvalue()) == terminal
+        def ended(self):
+            self.now += seconds_a_trial
+            return super().ended()
+
+    screen, crew = io.StringIO(), TimedCrew(size=1, fails=[asked()[0].key])
+    with script("run_progress").Bar(Console(file=screen, force_terminal=terminal, width=150), clock=lambda: crew.now) as bar:
+        runs.run_all(asked(), out, crew=crew, onlooker=bar)
+    return screen.getvalue()
+
+
+def test_a_terminal_shows_trials_errors_and_time(script, runs, tmp_path):
+    told = shown(script, runs, tmp_path, terminal=True, seconds_a_trial=1.0)
+    assert "8/8" in told and "1 errors" in told and "left" in told and "trials done" not in told
+
+
+@pytest.mark.parametrize(("seconds", "done"), [(5.0, []), (25.0, [3, 6]), (300.0, [1, 2, 3, 4, 5, 6, 7, 8])])
+def test_off_a_terminal_a_plain_line_follows_a_trial_once_a_minute_at_most(script, runs, tmp_path, seconds, done):
+    lines = shown(script, runs, tmp_path, terminal=False, seconds_a_trial=seconds).splitlines()
+    assert [re.sub(r"about .* left", "", line) for line in lines] == [f"{n} of 8 trials done, 1 errors, " for n in done]
+    assert all(re.search(r"about \d+ (s|min) left$", line) for line in lines)
 
 
 @pytest.mark.parametrize(
@@ -329,6 +453,7 @@ def test_the_bar_shows_trials_errors_and_time_on_a_terminal_and_nothing_elsewher
         ("--variants blind --suite small --workers 9999", "--ray takes it to others"),
         ("--variants blind --suite small --workers 0 --ray local", "workers is 0, must be 1 or more"),
         ("--variants blind --suite small --metrics speeed", "metric"),
+        ("--variants blind sway --suite small --baseline swaay", "baseline 'swaay' is not among the variants: blind, sway"),
     ],
 )
 def test_bad_usage_is_one_line_and_touches_nothing(script, capsys, tmp_path, options, message):
@@ -337,6 +462,28 @@ def test_bad_usage_is_one_line_and_touches_nothing(script, capsys, tmp_path, opt
     told = capsys.readouterr().err
     assert message in told and told.count("\n") == 1 and told.startswith("benchmark_variants: ")
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("variant", "why"),
+    [
+        ("driving", "a planner that drives takes no steps meanwhile"),
+        ("capless:Driver", "a planner from outside need propose no steps"),
+    ],
+)
+def test_what_a_limit_of_cycles_does_not_stop_is_refused_where_there_is_one(script, capsys, tmp_path, monkeypatch, variant, why):
+    (tmp_path / "capless.py").write_text(EXAMPLE)
+    monkeypatch.syspath_prepend(tmp_path)
+    out = ["--out", str(tmp_path / "out"), "--dry-run", "--variants", "blind", variant]
+    main = script("benchmark_variants").main
+    free = ["--scenarios", "rock_field", "--seeds", "0"]
+    for options in (["--suite", "small"], [*free, "--cycles", "29"]):
+        assert main([*out, *options]) == 2
+        told = capsys.readouterr().err
+        assert f"variant {variant} cannot be compared where trials end after" in told and told.count("\n") == 1
+        assert f"{why}; take --suite full, or --scenarios and --seeds without --cycles" in told
+    for options in (free, [*free, "--cycles", "30"]):
+        assert main([*out, *options]) == 0
 
 
 def test_a_cluster_that_nobody_runs_is_one_line_at_once(script, capsys, tmp_path):
@@ -380,6 +527,12 @@ def compare(out, *options, variants=("blind",), seeds="0:2", limit="60", robots=
     )  # fmt: skip
 
 
+def complaints(run):
+    """What a run that ends says beside how far it is."""
+    told = run.communicate()[1].splitlines()
+    return [line for line in told if " trials done, " not in line]
+
+
 def comparable(out):
     return [{k: v for k, v in row.items() if k not in TIMINGS} for row in rows_in(out)]
 
@@ -401,7 +554,7 @@ def awaited(condition, seconds=180.0):
 def test_killed_for_real_nobody_writes_on_and_the_rest_is_run_once(tmp_path):
     whole, killed = tmp_path / "whole", tmp_path / "killed"
     done = compare(whole, "--workers", "1", variants=("blind", "sway"))
-    assert done.communicate()[1] == "" and done.returncode == 0
+    assert complaints(done) == [] and done.returncode == 0
     dice = random.Random(5)
     for kill in range(4):
         run = compare(killed, variants=("blind", "sway"))
@@ -415,7 +568,7 @@ def test_killed_for_real_nobody_writes_on_and_the_rest_is_run_once(tmp_path):
                 file.write('{"schema_version": 1, "robot": "sd')
     kept = {(r["case"], r["variant"]): r["wall_time_s"] for r in map(json.loads, whole_lines(killed)) if "case" in r}
     last = compare(killed, variants=("blind", "sway"))
-    assert last.communicate()[1] == "" and last.returncode == 0
+    assert complaints(last) == [] and last.returncode == 0
     assert comparable(killed) == comparable(whole) and len(rows_in(killed)) == 4
     # What had a row was not run again: its time is still the same.
     assert all(kept.get((r["case"], r["variant"]), r["wall_time_s"]) == r["wall_time_s"] for r in rows_in(killed))
@@ -425,11 +578,11 @@ def test_killed_for_real_nobody_writes_on_and_the_rest_is_run_once(tmp_path):
 def test_two_runs_agree_but_for_timings_and_variants_are_paired(tmp_path):
     for name, workers in (("a", "1"), ("b", "2")):
         run = compare(tmp_path / name, "--workers", workers, variants=("blind", "sway"), robots=("sdm_b", "t12"), seeds="4")
-        assert run.communicate()[1] == "" and run.returncode == 0
+        assert complaints(run) == [] and run.returncode == 0
     rows = comparable(tmp_path / "a")
     assert rows == comparable(tmp_path / "b")
-    assert [(r["robot"], r["variant"]) for r in rows] == [(r, v) for r in ("sdm_b", "t12") for v in ("blind", "sway")]
-    assert rows[0]["case"] == rows[1]["case"] == "sdm_b-rock_field-4-5"
+    assert [(r["robot"], r["variant"]) for r in rows] == [(r, v) for v in ("blind", "sway") for r in ("sdm_b", "t12")]
+    assert rows[0]["case"] == rows[2]["case"] == "sdm_b-rock_field-4-5"
     assert all(r["trajectory_sha256"] and r["suite_sha256"] for r in rows)
 
 
@@ -470,12 +623,15 @@ def test_a_process_that_is_killed_is_a_row_and_the_others_go_on(tmp_path):
 
 
 @pytest.mark.slow
-def test_other_code_than_asked_for_is_refused_by_the_trial(script, tmp_path):
-    one = replace(asked()[0], code_sha256="other")
-    assert this_code() != "other"
-    status = script("trial_process").run_in_folder(one, tmp_path).wait()
-    row = row_of(one, tmp_path, status=status)
-    assert row["outcome"] == "error" and "this machine has other code, drawings or libraries" in row["reason"]
+def test_other_code_scenario_or_variant_than_asked_for_is_not_begun(script, tmp_path):
+    (one,) = script("variant_runs").asked_for(SUITE, SUITE.cases[:1], ["blind"], body="mock")
+    for change, what in (
+        ({"code_sha256": "other"}, "the code, the drawings or the libraries"),
+        ({"scenario_sha256": "other"}, "scenario rock_field"),
+        ({"variant_sha256": "other"}, "variant blind"),
+    ):
+        assert script("trial_process").run_in_folder(replace(one, **change), tmp_path).wait() == CHANGED
+        assert (tmp_path / "log.txt").read_text() == f"{what}\n" and not (tmp_path / "trial.json").exists()
 
 
 @pytest.mark.slow
@@ -493,12 +649,11 @@ def test_a_ray_cluster_gives_the_same_rows_as_processes_do(tmp_path):
 @pytest.mark.slow
 def test_a_planner_of_ones_own_is_compared_and_noticed_when_it_changes(tmp_path):
     own = tmp_path / "my_planner.py"
-    example = (ROOT / "docs/outside_planner.md").read_text().partition("```python\n")[2].partition("```")[0]
-    own.write_text(example)
+    own.write_text(EXAMPLE)
     run = compare(tmp_path / "out", variants=("blind", "my_planner:Driver"), seeds="0", cwd=tmp_path)
-    assert run.communicate()[1] == "" and run.returncode == 0
+    assert complaints(run) == [] and run.returncode == 0
     rows = rows_in(tmp_path / "out")
     assert [r["variant"] for r in rows] == ["blind", "my_planner:Driver"] and rows[1]["outcome"] != "error", rows[1]["reason"]
-    own.write_text(example + "# changed\n")
+    own.write_text(EXAMPLE + "# changed\n")
     again = compare(tmp_path / "out", variants=("blind", "my_planner:Driver"), seeds="0", cwd=tmp_path)
     assert "variant my_planner:Driver has changed since its trials were run" in again.communicate()[1] and again.returncode == 2
