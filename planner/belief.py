@@ -62,6 +62,8 @@ class BeliefFilter:
         self._weight = (kinematics.spec.mass + payload_kg) * GRAVITY
         self._contacts: Wheels | None = None
         self._planted = np.ones(LEGS, dtype=bool)
+        self._unanchored = np.zeros(LEGS, dtype=bool)
+        """wheels that came down since the last telemetry: where is not known yet, and their contact is still the one before"""
         self._sink, self._sink_variance = config.sink, config.sink_sigma**2
 
     @property
@@ -71,14 +73,12 @@ class BeliefFilter:
 
     def lift(self, leg: int) -> None:
         """A leg was lifted: its wheel no longer anchors the robot."""
-        self._planted[leg] = False
+        self._planted[leg] = self._unanchored[leg] = False
 
     def land(self, leg: int) -> None:
         """A leg came down: the next telemetry gives its wheel an anchor."""
         if not self._planted[leg]:
-            self._planted[leg] = True
-            if self._contacts is not None:
-                self._contacts[leg] = np.nan
+            self._planted[leg] = self._unanchored[leg] = True
 
     def rolled(self, contacts_in_world: Wheels) -> None:
         """The robot drove, its posture kept: every wheel stands elsewhere, as commanded [m]."""
@@ -110,9 +110,7 @@ class BeliefFilter:
         wheels = self._kin.wheels_in_hex(telemetry.joints)
         tilt = SE3.from_rpy(float(telemetry.attitude_rpy[0]), float(telemetry.attitude_rpy[1]), 0.0)
         gravity = tilt.rotation.T @ np.array([0.0, 0.0, -GRAVITY])
-        standing = self._planted.copy()
-        if self._contacts is not None:
-            standing &= np.isfinite(self._contacts).all(axis=1)
+        standing = self._planted & ~self._unanchored
         loads = self._loads(telemetry.joints, gravity, self._planted)
         drop = self._kin.spec.wheel.radius - loads / self._kin.spec.believed_tyre_stiffness - self._sink
         if self._contacts is None:
@@ -129,6 +127,7 @@ class BeliefFilter:
             world_from_hex, rmse = fit.world_from_hex, fit.rmse
             for leg in np.flatnonzero(self._planted & ~standing):
                 self._contacts[leg] = world_from_hex.apply(wheels[leg]) - np.array([0.0, 0.0, drop[leg]])
+        self._unanchored[:] = False
         forces = np.array(
             [self._kin.ground_force(leg, telemetry.joints, telemetry.torques[leg], gravity) for leg in range(LEGS)]
         )

@@ -74,6 +74,18 @@ def test_a_wheel_that_came_down_gets_its_anchor_where_it_stands():
     assert landed.world_from_hex.translation == pytest.approx(first.world_from_hex.translation, abs=0.02)
 
 
+def test_a_wheel_that_was_told_to_stand_and_does_not_keeps_its_last_contact():
+    """A descent was completed, and a fault after it shows that the wheel hangs: nobody has seen it stand anywhere else."""
+    filtered, joints = filter_of("sdm_b"), regular_stance(load_spec("sdm_b"))
+    first = filtered.update(telemetry(joints))
+    filtered.lift(2)
+    filtered.land(2)
+    filtered.lift(2)
+    hanging = filtered.update(telemetry(joints))
+    assert not hanging.planted[2]
+    np.testing.assert_array_equal(hanging.contacts_in_world[2], first.contacts_in_world[2])
+
+
 def test_legs_that_fight_are_told_from_their_torques():
     spec, filtered = load_spec("sdm_b"), filter_of("sdm_b")
     kin, joints = Kinematics(spec), regular_stance(spec)
