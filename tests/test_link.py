@@ -278,19 +278,20 @@ def test_many_messages_arrive_on_time_none_lost_doubled_or_reordered(n):
     config = LinkConfig(delay=5.0, bandwidth=64e3, jitter=0.3, outages=((60.0, 80.0), (100.0, 101.5)))
     link, rng = DelayedLink(config, np.random.default_rng(3)), np.random.default_rng(4)
     times = np.cumsum(rng.exponential(0.05, n))
-    sizes, at, under_way = np.zeros(n), [], deque()
+    sizes, at, under_way, every = np.zeros(n), [], deque(), max(1, n // 20_000)
 
     def take(due):
         for raw in link.receive_raw(due):
             # Every message holds its number: no two are alike, and the oldest under way must be the next to arrive.
             assert raw == under_way.popleft()
+            assert len(at) % every or decode(raw).seq == len(at)
             at.append(due)
 
     for k, t in enumerate(times):
         while (due := link.next_arrival()) <= t:
             take(due)
-        under_way.append(encode(receipt(k)))
-        sizes[k] = len(link.send(receipt(k), t))
+        under_way.append(link.send(receipt(k), t))
+        sizes[k] = len(under_way[-1])
     while math.isfinite(due := link.next_arrival()):
         take(due)
     assert len(at) == n and not under_way
