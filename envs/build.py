@@ -65,7 +65,7 @@ def drawn_ground(robot: SimulatedRobot, scenario: Scenario, grid: HeightGrid) ->
 
 def ground_agent(
     spec: RobotSpec,
-    variant: str,
+    variant: str | TomlVariant | OutsidePlanner,
     *,
     goal: tuple[float, float],
     seed: int,
@@ -73,7 +73,7 @@ def ground_agent(
     timer: StageTimer = untimed,
     on_look: Callable[[Any], None] | None = None,
 ) -> GroundAgent:
-    """The ground with a variant, or a planner from outside, by one of the names that `envs.variants` tells of.
+    """The ground with a variant, or a planner from outside; by one of the names that `envs.variants` tells of, or what it means.
 
     `on_look` is told of every `planner.eyes.Look` at a picture, for whoever keeps scores; a planner from outside that has no
     `planner.eyes.Eyes` as its `eyes` tells of none.
@@ -81,7 +81,8 @@ def ground_agent(
     from planner.agent import GroundAgent as PlanningAgent
     from planner.eyes import Eyes
 
-    found, goal_in_world = variant_named(variant), np.array(goal, dtype=float)
+    found = variant_named(variant) if isinstance(variant, str) else variant
+    goal_in_world = np.array(goal, dtype=float)
     if isinstance(found, OutsidePlanner):
         # A seed of its own: the trial's would draw the same ground and the same robot once more.
         own_seed = int(np.random.SeedSequence([seed, OUTSIDE_STREAM]).generate_state(1)[0])

@@ -100,7 +100,7 @@ def _plain(content: Json) -> Described:
 
 def _state(content: Json) -> Described:
     names = {
-        "support_margin": "support_margin_m", "cps_margin": "cps_margin_m", "tip_over_energy": "tip_over_energy_j",
+        "support_margin": "support_margin_m", "cps_margin": "cps_margin_m", "tip_over_energy": "tip_over_energy_m",
         "goal_distance": "goal_distance_m", "peak_torque_fraction": "peak_torque_fraction",
     }  # fmt: skip
     figures: dict[str, float | str] = {column: _number(content.get(name)) for name, column in names.items()}

@@ -160,6 +160,11 @@ class Mission:
         return self.arrived is not None or self.no_step is not None
 
     @property
+    def stop_under_way(self) -> bool:
+        """Whether a stop was sent of which telemetry has not yet told that the robot has stopped."""
+        return self._stop is not None
+
+    @property
     def wants_answer(self) -> bool:
         """Whether a proposal stands and nobody has answered it."""
         return self.standing is not None and self._answer is None

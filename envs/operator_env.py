@@ -6,7 +6,6 @@ only a stop has an effect.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, cast
 
 import gymnasium as gym
@@ -15,12 +14,14 @@ import numpy as np
 from athlete_twin.model.spec import LEGS, RobotSpec
 from athlete_twin.world.scenario import Scenario
 from envs.action_fields import Action, flags, one_of, units
+from envs.agent_maker import AgentMaker, identity_of
 from envs.build import ground_agent
 from envs.env import Body, Link, MissionEnv
 from envs.rewards import RewardConfig
 from envs.spaces import FAR, NEVER, Observation, bounded
 from envs.variants import variant_named
-from planner.decisions import DECISIONS, Decision, DecisionKind, GroundAgent, Proposal
+from planner.decisions import DECISIONS, Decision, DecisionKind, GroundAgent, Proposal, check_cameras
+from planner.decisions import MAX_WAIT as LONGEST_WAIT
 from planner.preview.preview import FAULTS
 
 PREVIEW_POSES = 16
@@ -32,8 +33,6 @@ MAP_CELLS = 80
 MAX_WAIT = 60.0
 """an operator waits so long at most in one decision [s]"""
 KINDS = ("none", "step", "shift")
-
-AgentMaker = Callable[[RobotSpec, tuple[float, float], int], GroundAgent]
 
 
 class OperatorEnv(MissionEnv):
@@ -61,6 +60,8 @@ class OperatorEnv(MissionEnv):
     | `kind` | Discrete(3) | 0 none, 1 step, 2 shift |
     | `leg` | Discrete(7) | 0 none, 1 to 6 as the papers number them |
     | `footfall_in_world` | (3,) | place of the patch [m] |
+    | `companion_leg` | Discrete(7) | that steps together with it, as `leg`; 0 none |
+    | `companion_footfall_in_world` | (3,) | place of its patch [m]; zero where none |
     | `predicted_margin`, `predicted_sag` | (1,) | [m]; 0 for not known |
     | `world_from_hex` | (6,) | believed chassis |
     | `preview_times` | (16,) | evenly over the sequence, after it begins [s] |
@@ -71,7 +72,7 @@ class OperatorEnv(MissionEnv):
     | `map_known`, `map_green` | (80, 80) uint8 | whether seen, whether a wheel may stand there |
 
     **Reward**, **truncated** and `info["truth"]` as with `UplinkEnv`. **Terminated**: tipped over, at the goal, or the
-    ground has said its last word (`info["arrived"]`, `info["no_step"]`), or the operator has stopped it.
+    ground has said its last word (`info["arrived"]`, `info["no_step"]`), or it knows that the operator's stop was heard.
     **info**: besides, `text` of the proposal or of the last word, `waiting_for`.
     """
 
@@ -116,9 +117,8 @@ class OperatorEnv(MissionEnv):
             render_mode=render_mode,
             rewards=rewards or RewardConfig(),
         )
-        if make_agent is None:
-            variant_named(variant)
-        self._variant = variant
+        self._variant_name = variant
+        self._variant = variant_named(variant) if make_agent is None else None
         self._make_agent = make_agent
         self.action_space = decision_space(len(self.cameras))
         self.observation_space = proposal_space(self.drawings)
@@ -137,20 +137,22 @@ class OperatorEnv(MissionEnv):
         if standing is None:
             stops = DECISIONS[one_of(action, "kind", len(DECISIONS))] == "stop"
             return self.step_decision(Decision(kind="stop") if stops else None)
-        return self.step_decision(decision_of(action, standing, self.cameras, idle=self.step_s))
+        return self.step_decision(decision_of(action, standing, self.cameras, idle=self._idle))
 
     def step_decision(self, decision: Decision | None) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """The same as `step` with a decision object; None while no proposal stands."""
         mission, begun = self.mission, self.mission.t
+        if decision is not None:
+            check_cameras(decision, self.drawings)
         self._inputs.append(decision)
         if mission.wants_answer:
-            mission.answer(decision or Decision(kind="wait", duration=self.step_s))
+            mission.answer(decision or Decision(kind="wait", duration=self._idle))
         elif decision is not None and decision.kind == "stop":
             mission.stop("operator")
         mission.advance(begun + self.step_s)
         value, terminated, truncated, info = self._judged(begun)
         self._show()
-        ended = mission.finished or mission.stopped
+        ended = mission.finished or (mission.stopped and not mission.stop_under_way)
         return self._observation(), value, terminated or ended, truncated, info
 
     @property
@@ -158,10 +160,15 @@ class OperatorEnv(MissionEnv):
         """What the operator is asked, whole; None while nothing is."""
         return self.mission.standing if self.mission.wants_answer else None
 
+    @property
+    def _idle(self) -> float:
+        """What no answer means: to be asked again after a step, or after the longest wait that may be ordered [s]."""
+        return min(self.step_s, LONGEST_WAIT)
+
     def _agent(self, seed: int) -> GroundAgent:
         if self._make_agent is not None:
             return self._make_agent(self.drawings, self.goal, seed)
-        return ground_agent(self.drawings, self._variant, goal=self.goal, seed=seed)
+        return ground_agent(self.drawings, self._variant or self._variant_name, goal=self.goal, seed=seed)
 
     def _declared(self) -> bool:
         return self.mission.arrived is not None
@@ -177,7 +184,13 @@ class OperatorEnv(MissionEnv):
         }
 
     def _made_with(self) -> dict[str, Any]:
-        return super()._made_with() | {"variant": self._variant}
+        found = self._variant
+        content = "" if found is None else found.sha256
+        return super()._made_with() | {
+            "make_agent": None if self._make_agent is None else identity_of(self._make_agent),
+            "variant": self._variant_name,
+            "variant's content": content,
+        }
 
     def _input(self, message: Decision | None) -> Any:
         return self.step_decision(message)
@@ -242,6 +255,8 @@ def proposal_space(spec: RobotSpec) -> gym.spaces.Dict:
             "kind": gym.spaces.Discrete(len(KINDS)),
             "leg": gym.spaces.Discrete(LEGS + 1),
             "footfall_in_world": within(FAR, 3),
+            "companion_leg": gym.spaces.Discrete(LEGS + 1),
+            "companion_footfall_in_world": within(FAR, 3),
             "predicted_margin": within(FAR, 1),
             "predicted_sag": within(FAR, 1),
             "world_from_hex": within(FAR, 6),
@@ -270,6 +285,8 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
         "kind": np.int64(0),
         "leg": np.int64(0),
         "footfall_in_world": np.zeros(3, dtype=np.float32),
+        "companion_leg": np.int64(0),
+        "companion_footfall_in_world": np.zeros(3, dtype=np.float32),
         "predicted_margin": np.zeros(1, dtype=np.float32),
         "predicted_sag": np.zeros(1, dtype=np.float32),
         "world_from_hex": np.zeros(6, dtype=np.float32),
@@ -286,6 +303,7 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
     times = np.linspace(0.0, proposal.preview.duration, k)
     moments = [proposal.preview.at(float(at)) for at in times]
     codes = {fault.code for fault in proposal.preview.faults}
+    companion = proposal.together[0] if proposal.together else None
     here = proposal.world_from_hex
     offsets = (np.arange(n) - 0.5 * (n - 1)) * MAP_CELL
     xy = np.stack(np.meshgrid(here.translation[0] + offsets, here.translation[1] + offsets, indexing="ij"), axis=-1)
@@ -296,6 +314,8 @@ def observed(proposal: Proposal | None, spec: RobotSpec, t: float, goal: tuple[f
         "kind": np.int64(KINDS.index(proposal.kind)),
         "leg": np.int64(proposal.leg + 1),
         "footfall_in_world": bounded(proposal.footfall_in_world, FAR),
+        "companion_leg": np.int64(companion.leg + 1 if companion else 0),
+        "companion_footfall_in_world": bounded(companion.footfall_in_world if companion else np.zeros(3), FAR),
         "predicted_margin": bounded(np.nan_to_num([proposal.predicted_margin]), FAR),
         "predicted_sag": bounded(np.nan_to_num([proposal.predicted_sag]), FAR),
         "world_from_hex": _six(here),

@@ -72,9 +72,9 @@ class Rerun:
 
     @property
     def equal(self) -> bool:
-        """Whether everything came again."""
+        """Whether there was something, and all of it came again."""
         hashes = ("trajectory_sha256", "link_sha256")
-        return self.difference is None and not (
+        return self.messages > 0 and self.difference is None and not (
             self.ending.natural and any(self.then.get(k) != self.now.get(k) for k in hashes)
         )
 

@@ -29,12 +29,15 @@ from envs.scoring import TIPPED, Scorer, Summary, path_of, tilt
 from envs.stage_times import StageTimes
 from planner.decisions import GroundAgent, Operator
 from planner.eyes import Look
+from planner.underway import SILENCE
 
 SCHEMA_VERSION = 1
 OUTCOMES = ("goal_reached", "cycles_done", "time_limit", "fault", "tip_over", "no_step", "operator_abort")
 INTERRUPTED = "interrupted at the console"
 LOOK = 1.0
 """how often the runner looks at what happened, when nothing else stops the mission [s]"""
+STOP_PATIENCE = 2 * SILENCE
+"""after the operator's stop the trial ends when the ground knows of it, or after so long: it goes up again once in between [s]"""
 THINNED = 4
 """of a picture's points every so many-th along rows and columns is recorded: enough to see what was seen"""
 HASH_DECIMALS = 9
@@ -246,10 +249,11 @@ class Trial:
         mission.answer(decision, seconds=seconds)
         if decision.kind != "stop":
             return False
-        # The stop still has to reach the robot.
+        # The stop still has to reach the robot, and the news of it the ground; a link that is down must not keep the trial.
         mission.advance(mission.t + seconds)
-        if np.isfinite(mission.up.next_arrival()):
-            mission.advance(mission.up.next_arrival())
+        patience = mission.t + STOP_PATIENCE
+        while mission.stop_under_way and mission.t < patience:
+            mission.advance(patience, stop_at_downlink=True)
         return True
 
     def _nothing_to_do(self) -> tuple[str, str]:

@@ -50,6 +50,11 @@ class TomlVariant:
     text: str
     """TOML of the content; the file's own text where it has no base"""
 
+    @property
+    def sha256(self) -> str:
+        """Of the text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
+
 
 @dataclass(frozen=True, kw_only=True)
 class OutsidePlanner:

@@ -33,7 +33,7 @@ from athlete_twin.model.leg_timing import leg_timing
 from athlete_twin.model.spec import LEGS, RobotSpec
 from planner.belief import Belief, BeliefFilter
 from planner.config import PlannerConfig
-from planner.decisions import Action, Arrived, Decision, Landing, NoStep, Proposal, Uplink, Waiting
+from planner.decisions import Action, Arrived, Decision, Landing, NoStep, Proposal, Uplink, Waiting, check_cameras
 from planner.eyes import Eyes, StageTimer, untimed
 from planner.footfall import FootfallMap, score_footfalls, unknown_share
 from planner.gait.aside import AsidePlan, Asides, NoAside, plan_aside
@@ -202,6 +202,7 @@ class GroundAgent:
 
     def decide(self, decision: Decision, t: float) -> CommandSequence | None:
         """Apply the operator's answer to the standing proposal; the sequence to send, or None when nothing goes up."""
+        check_cameras(decision, self.spec)
         proposal, plan = self._proposal, self._plan
         if proposal is None:
             return None

@@ -19,6 +19,7 @@ from athlete_twin.geometry.arrays import Vec3
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import CommandSequence, Message
+from athlete_twin.model.spec import RobotSpec
 from planner.preview.preview import Preview
 
 DecisionKind = Literal["approve", "reject", "edit_footfall", "choose_leg", "choose_cameras", "wait", "stop"]
@@ -112,6 +113,14 @@ class Decision:
             raise ConfigError("decision 'choose_cameras' names no camera")
         if self.kind == "wait" and not (np.isfinite(self.duration) and 0.0 < self.duration <= MAX_WAIT):
             raise ConfigError(f"decision 'wait' of {self.duration} s is outside 0 to {MAX_WAIT:.0f} s")
+
+
+def check_cameras(decision: Decision, spec: RobotSpec) -> None:
+    """Refuse the choice of a camera that the robot does not have."""
+    known = [camera.name for camera in spec.cameras]
+    unknown = [name for name in decision.cameras if name not in known]
+    if unknown:
+        raise ConfigError(f"camera {unknown[0]!r} is not one of {spec.name}'s; known: {', '.join(known)}")
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -28,9 +28,9 @@ class Cautious:
     """
 
     margin_above_rule: float = 0.05
-    """of the stability margin along the motion over the robot's rule, which the planner itself keeps [m]"""
+    """of the least stability margin in the whole motion over the robot's rule, which the planner itself keeps [m]"""
     max_torque_fraction: float = 0.90
-    """of a joint's limit; the executive stops at 1"""
+    """of a joint's limit, in the whole motion; the executive stops at 1"""
     min_clearance: float = 0.05
     """of the lifted wheel above the ground; fused stereo errs by 1-2 cm within reach (one sigma) [m]"""
     max_unknown_share: float = 0.05
@@ -47,12 +47,15 @@ class Cautious:
     def decide(self, proposal: Proposal, _t: float) -> tuple[Decision, float]:
         """Approval, or a rejection that names every threshold crossed with its figure."""
         least = load_spec(proposal.sequence.robot_id).min_support_margin + self.margin_above_rule
+        # The planner's figures are of a leg in the air; the preview's of all that moves. The worse counts.
+        margin = float(np.fmin.reduce(proposal.preview.margins, initial=proposal.predicted_margin))
+        torque = float(np.fmax.reduce(proposal.preview.torque_fractions, initial=proposal.predicted_torque_fraction))
         too_little = (
-            ("margin", proposal.predicted_margin, least, "m"),
+            ("margin", margin, least, "m"),
             ("clearance", proposal.predicted_clearance, self.min_clearance, "m"),
         )
         too_much = (
-            ("torque", proposal.predicted_torque_fraction, self.max_torque_fraction, "of the limit"),
+            ("torque", torque, self.max_torque_fraction, "of the limit"),
             ("unknown ground", proposal.unknown_share, self.max_unknown_share, "of the footfall"),
         )
         reasons = [f"{name} {value:.3f} {of}, wants at least {limit:g}" for name, value, limit, of in too_little if value < limit]

@@ -8,8 +8,9 @@
 A rerun compares every message of the recording, bytes and times, and the hashes of the true motion and of what crossed the link.
 A recording that was cut by a kill is compared as far as it goes. By the robot's clock (--clock robot) a row stands where it was
 true; by the operator's, where it was known: what lies between is the delay. Exit status 0: all equal, or nothing was run; 1:
-something differs, and the first difference is told with topic and time; 2 and one line: bad usage, no such file, a damaged
-one, or one whose libraries, drawings or meshes are not those of today (--anyway runs it nevertheless).
+something differs, and the first difference is told with topic and time, or a recording holds no message to compare; 2 and one
+line: bad usage, no such file, a damaged one, or one whose libraries, drawings or meshes are not those of today (--anyway runs it
+nevertheless).
 """
 
 from __future__ import annotations
@@ -196,6 +197,8 @@ def _told(path: Path, origin: Origin, done: Rerun) -> str:
     if done.difference is not None:
         d = done.difference
         return f"{name}: DIFFERENT, first at {d.t:.3f} s on {d.topic}: {d.text}"
+    if not done.messages:
+        return f"{name}: NOTHING COMPARED: the recording was cut before its first message"
     if not done.equal:
         return f"{name}: DIFFERENT: the messages are the same, the hashes are not: {done.then}, now {done.now}"
     if not done.ending.natural:
@@ -232,12 +235,13 @@ def _figures(path: Path, every: list[Event], options: Options) -> None:
 
 def _film(path: Path, film: Path) -> None:
     from trial_film import write_film
+    from trial_recording import load_figures
 
     with tempfile.TemporaryDirectory(prefix="replay_trial_") as name:
         folder = Path(name)
         (folder / "trial.mcap").symlink_to(path.resolve())
-        beside = path.parent / "trial.json"
-        figures = json.loads(beside.read_text()) if beside.is_file() else _figures_of_cut(path)
+        beside = (path.parent / "trial.json").is_file()
+        figures = load_figures(path.parent) if beside else _figures_of_cut(path)
         (folder / "trial.json").write_text(json.dumps(figures))
         made = write_film(folder)
         try:

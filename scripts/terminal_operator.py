@@ -10,7 +10,8 @@ import numpy as np
 from rich.console import Console
 
 from athlete_twin.errors import ConfigError
-from planner.decisions import Decision, Proposal
+from athlete_twin.model.spec import load_spec
+from planner.decisions import Decision, Proposal, check_cameras
 
 HELP = (
     "a approve   r WHY reject   e X Y edit the footfall (m, world)   l N choose leg 1-6   "
@@ -49,7 +50,9 @@ class TerminalOperator:
                 # Nobody is there any more: a robot without an operator stops.
                 return Decision(kind="stop"), time.perf_counter() - begun
             try:
-                return parsed(typed), time.perf_counter() - begun
+                decision = parsed(typed)
+                check_cameras(decision, load_spec(self.robot))
+                return decision, time.perf_counter() - begun
             except ConfigError as e:
                 self.console.print(str(e), style="red", markup=False)
 

@@ -26,6 +26,8 @@ from envs.schemas import Json, grid_from_message, joint_angles
 
 BINS = ("motion", "link", "ground", "operator")
 """parts of the mission time, in the order they are drawn"""
+NAMING = ("robot", "scenario", "variant", "seed", "link", "outcome", "progress_m", "steps_taken")
+"""of trial.json, what names a trial in a picture"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -188,14 +190,26 @@ def terrain_of(spec: RobotSpec, scenario: str, seed: int) -> Terrain:
     return build_terrain(load_scenario(scenario), seed, clear_xy=stance_wheels_in_hex(spec)[:, :2], clear_radius=CLEAR_RADIUS)
 
 
+def load_figures(folder: Path) -> Json:
+    """Content of a trial's trial.json."""
+    path = folder / "trial.json"
+    try:
+        figures = json.loads(path.read_text())
+    except FileNotFoundError as e:
+        raise RecordingError(f"{path} is missing; scripts/rock_field_trial.py --out {folder} writes it") from e
+    except ValueError as e:
+        raise RecordingError(f"{path} is damaged: {e}") from e
+    if not isinstance(figures, dict):
+        raise RecordingError(f"{path} is damaged: it holds a {type(figures).__name__}, not the object that a trial writes")
+    lacking = [name for name in NAMING if name not in figures]
+    if lacking:
+        raise RecordingError(f"{path} is damaged: it does not say {', '.join(lacking)}")
+    return figures
+
+
 def load_recording(folder: Path) -> TrialRecording:
     """Read a trial's folder."""
-    try:
-        figures = json.loads((folder / "trial.json").read_text())
-    except FileNotFoundError as e:
-        raise RecordingError(f"{folder}/trial.json is missing; scripts/rock_field_trial.py --out {folder} writes it") from e
-    except ValueError as e:
-        raise RecordingError(f"{folder}/trial.json is damaged: {e}") from e
+    figures = load_figures(folder)
     spec = load_spec(figures["robot"])
     lines: dict[str, list[Recorded]] = defaultdict(list)
     for line in read_recording(folder / "trial.mcap"):

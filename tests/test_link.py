@@ -1,4 +1,5 @@
 import math
+from collections import deque
 from itertools import pairwise
 
 import numpy as np
@@ -256,33 +257,46 @@ def test_a_damaged_message_is_noticed():
 
 
 def exact_arrivals(config, times, sizes, late):
-    """By the definition, one after the other: transmitter, delay, jitter, order [s]."""
+    """By the definition, one after the other: transmitter, delay, jitter, order [s]. The transmitter's clock stands in outages."""
+    lengths = [end - begin for begin, end in config.outages]
+    stands_at = [begin - sum(lengths[:k]) for k, (begin, _) in enumerate(config.outages)]
+
+    def on_air(t):
+        return t - sum(min(max(t - begin, 0.0), end - begin) for begin, end in config.outages)
+
     free, last, out = 0.0, 0.0, []
     for t, size, share in zip(times, sizes, late, strict=True):
-        free = max(t, free) + 8 * size / config.bandwidth
-        last = max(last, free + config.delay + config.jitter * share)
+        free = max(on_air(t), free) + 8 * size / config.bandwidth
+        left = free + sum(length for length, stands in zip(lengths, stands_at, strict=True) if stands < free)
+        last = max(last, left + config.delay + config.jitter * share)
         out.append(last)
     return np.array(out)
 
 
 @pytest.mark.parametrize("n", [5_000, pytest.param(1_000_000, marks=pytest.mark.slow)])
 def test_many_messages_arrive_on_time_none_lost_doubled_or_reordered(n):
-    config = LinkConfig(delay=5.0, bandwidth=64e3, jitter=0.3)
+    config = LinkConfig(delay=5.0, bandwidth=64e3, jitter=0.3, outages=((60.0, 80.0), (100.0, 101.5)))
     link, rng = DelayedLink(config, np.random.default_rng(3)), np.random.default_rng(4)
     times = np.cumsum(rng.exponential(0.05, n))
-    sizes, got, at = np.zeros(n), [], []
+    sizes, at, under_way, every = np.zeros(n), [], deque(), max(1, n // 20_000)
+
+    def take(due):
+        for raw in link.receive_raw(due):
+            # Every message holds its number: no two are alike, and the oldest under way must be the next to arrive.
+            assert raw == under_way.popleft()
+            assert len(at) % every or decode(raw).seq == len(at)
+            at.append(due)
+
     for k, t in enumerate(times):
         while (due := link.next_arrival()) <= t:
-            for raw in link.receive_raw(due):
-                got.append(raw)
-                at.append(due)
-        sizes[k] = len(link.send(receipt(k), t))
+            take(due)
+        under_way.append(link.send(receipt(k), t))
+        sizes[k] = len(under_way[-1])
     while math.isfinite(due := link.next_arrival()):
-        for raw in link.receive_raw(due):
-            got.append(raw)
-            at.append(due)
-    assert len(got) == n
+        take(due)
+    assert len(at) == n and not under_way
     late = np.random.default_rng(3).random((n, 5))[:, 0]
-    assert np.abs(np.array(at) - exact_arrivals(config, times, sizes, late)).max() < 1e-6  # a physics tick is 4e-3
-    picked = range(0, n, max(1, n // 20_000))
-    assert [decode(got[k]).seq for k in picked] == list(picked)
+    exact = exact_arrivals(config, times, sizes, late)
+    assert np.abs(np.array(at) - exact).max() < 1e-6  # a physics tick is 4e-3
+    # The outage is felt, and nothing leaves in it.
+    assert (exact - times).max() > 20.0 and not ((exact - config.delay > 60.4) & (exact - config.delay < 80.0)).any()

@@ -21,7 +21,7 @@ from envs.env import UplinkEnv, link_pair
 from envs.operator_env import OperatorEnv
 from envs.rewards import RewardConfig, StepTruth, reward_terms
 from envs.spaces import KINDS, NEVER, RECEIPTS, DownlinkView, downlink_space
-from planner.decisions import DECISIONS, Decision
+from planner.decisions import DECISIONS, Decision, Landing, Proposal
 
 IDS = [f"AthleteTwin/{robot}{kind}-v0" for robot in ("SdmB", "T12") for kind in ("-Mock", "", "-Operator")]
 MOCKS = [name for name in IDS if "Mock" in name]
@@ -373,10 +373,64 @@ def test_standing_proposal_without_an_answer_lets_time_pass(scripted):
     assert env.mission.agent.decided == ["wait"]
 
 
-def test_a_stop_before_any_proposal_ends_the_episode(scripted):
+def test_a_stop_before_any_proposal_ends_the_episode_once_the_robot_is_known_to_have_stopped(scripted):
     env = operator_env(scripted)
     env.reset(seed=0)
-    assert env.step_decision(Decision(kind="stop"))[2]
+    decisions = [Decision(kind="stop"), None, None, None]
+    ends = [env.step_decision(decision)[2] for decision in decisions]
+    # A second of delay up and one down, and what the bytes take on the link.
+    assert ends == [False, False, True, True] and env.mission.robot.executive.state == "stopped"
+
+
+class InPairs:
+    """The scripted ground, whose leg 4 steps together with leg 1."""
+
+    def __init__(self, agent):
+        self.agent = agent
+
+    def __getattr__(self, name):
+        return getattr(self.agent, name)
+
+    def next(self, t):
+        action = self.agent.next(t)
+        if not isinstance(action, Proposal):
+            return action
+        return replace(action, together=(Landing(leg=3, footfall_in_world=np.array([-1.5, 0.25, 0.125])),))
+
+
+def test_a_step_of_two_legs_is_shown_with_both(scripted):
+    env = OperatorEnv("sdm_b", body="mock", link=0.0, step_s=100.0, make_agent=lambda *_: InPairs(scripted()))
+    env.reset(seed=0)
+    pair = to_proposal(env)
+    assert (pair["leg"], pair["companion_leg"]) == (1, 4) and env.observation_space.contains(pair)
+    np.testing.assert_array_equal(pair["companion_footfall_in_world"], np.float32([-1.5, 0.25, 0.125]))
+    alone_env = operator_env(scripted, step_s=100.0)
+    alone_env.reset(seed=0)
+    alone = to_proposal(alone_env)
+    assert alone["companion_leg"] == 0 and not alone["companion_footfall_in_world"].any()
+
+
+def test_steps_longer_than_the_longest_wait_ask_again_after_it(scripted):
+    env = operator_env(scripted, step_s=4000.0, time_limit=1e5)
+    env.reset(seed=0)
+    to_proposal(env)
+    before = env.mission.t
+    env.step_decision(None)
+    assert env.mission.t == pytest.approx(before + 3600.0) and env.proposal is not None
+    if env.cameras:  # no camera chosen is a wait too
+        decide(env, "choose_cameras", cameras=np.zeros(len(env.cameras), dtype=np.int8))
+        assert env.mission.t == pytest.approx(before + 7200.0)
+
+
+def test_a_camera_that_the_robot_does_not_have_is_refused_and_the_proposal_still_stands(scripted):
+    env = operator_env(scripted, step_s=100.0)
+    env.reset(seed=0)
+    to_proposal(env)
+    with pytest.raises(ConfigError, match=r"camera 'hazcam_9' is not one of sdm_b's; known: .*hazcam_1"):
+        env.step_decision(Decision(kind="choose_cameras", cameras=("hazcam_1", "hazcam_9")))
+    assert env.proposal is not None and env.mission.agent.decided == []
+    decide(env, "reject")
+    assert env.mission.agent.decided == ["reject"]
 
 
 def test_what_comes_late_replaces_nothing_newer_and_a_receipt_says_whose_it_is():

@@ -14,7 +14,7 @@ from envs.origin import changed_since, recorded_origin
 from envs.prepare import Wanted, operator_named, prepared
 from envs.recorder import Recorder
 from envs.recording import link_sha256, read_recording, recorded_attachments, recorded_metadata
-from envs.rerun import RecordedOperator, compared, ending_of, first_difference, rerun
+from envs.rerun import Ending, RecordedOperator, Rerun, compared, ending_of, first_difference, rerun
 from envs.trial import Trial, TrialSetup
 from planner.decisions import Decision
 from planner.operators import SCRIPTED_OPERATORS
@@ -136,6 +136,11 @@ def test_an_interrupted_trial_comes_again_as_far_as_it_went(run):
     assert first.run().outcome == "operator_abort"
     done = compared(first.out / "trial.mcap", run())
     assert done.equal and not done.ending.natural and done.messages > 10
+
+
+def test_a_recording_that_holds_nothing_to_compare_is_not_equal():
+    cut = Rerun(messages=0, ending=Ending(t=0.0, outcome="", reason=""), difference=None, then={}, now={})
+    assert not cut.equal and dataclasses.replace(cut, messages=1).equal
 
 
 @pytest.mark.parametrize("share", [0.35, 0.6])

@@ -1,10 +1,12 @@
 import importlib.util
+import io
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import types
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +137,21 @@ def test_typed_answers_become_decisions():
 def test_answers_that_mean_nothing_are_refused(typed):
     with pytest.raises(ConfigError):
         script("terminal_operator").parsed(typed)
+
+
+def test_terminal_asks_again_when_the_robot_has_no_such_camera(scripted, tmp_path, monkeypatch):
+    from rich.console import Console
+
+    terminal = script("terminal_operator")
+    monkeypatch.setitem(sys.modules, "preview_picture", types.SimpleNamespace(save_preview=lambda *_: None))
+    agent = scripted()
+    agent.next(0.0)
+    agent._waiting = ""
+    console, typed = Console(file=io.StringIO(), width=200), iter(["c navcam_9", "c navcam_1"])
+    monkeypatch.setattr(console, "input", lambda *_, **__: next(typed))
+    decision, _ = terminal.TerminalOperator(robot="sdm_b", out=tmp_path, console=console).decide(agent.next(1.0), 1.0)
+    assert decision.cameras == ("navcam_1",)
+    assert "camera 'navcam_9' is not one of sdm_b's; known: " in console.file.getvalue()
 
 
 @pytest.mark.slow

@@ -8,6 +8,7 @@ import os
 import pickle
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import gymnasium as gym
@@ -18,6 +19,7 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 import envs  # noqa: F401
 from athlete_twin.errors import ConfigError, PhysicsError
 from athlete_twin.messages import plain
+from envs.agent_maker import identity_of
 from envs.operator_env import OperatorEnv
 from envs.spaces import KINDS
 
@@ -243,6 +245,46 @@ def test_state_of_another_environment_is_refused():
     state = env.unwrapped.save_state()
     with pytest.raises(ConfigError, match=r"saved with step_s 0\.2, this environment has 0\.5"):
         made(step_s=0.5).unwrapped.restore_state(state)
+
+
+def test_state_of_an_environment_with_another_ground_is_refused(scripted, tmp_path):
+    def env(steps):
+        return OperatorEnv("sdm_b", body="mock", link=1.0, step_s=5.0, make_agent=lambda *_: scripted(steps=steps))
+
+    def of(path):
+        return OperatorEnv("sdm_b", body="mock", link=1.0, step_s=5.0, variant=str(path))
+
+    mine = env(2)
+    mine.reset(seed=3)
+    state = mine.save_state()
+    env(2).restore_state(state)
+    with pytest.raises(ConfigError, match="saved with make_agent"):
+        env(3).restore_state(state)
+    with pytest.raises(ConfigError, match="saved with make_agent"):
+        OperatorEnv("sdm_b", body="mock", link=1.0, step_s=5.0).restore_state(state)
+    path = tmp_path / "own.toml"
+    path.write_text('base = "blind"\n')
+    theirs = of(path)
+    theirs.reset(seed=3)
+    state = theirs.save_state()
+    of(path).restore_state(state)
+    path.write_text('base = "integrated"\n')
+    with pytest.raises(ConfigError, match="saved with variant's content"):
+        of(path).restore_state(state)
+
+
+@pytest.mark.parametrize(
+    ("one", "other", "same"),
+    [
+        (partial(max, 1), partial(max, 1), True),
+        (partial(max, 1), partial(max, 2), False),
+        (partial(max, key=len), partial(min, key=len), False),
+        (Player, Player, True),
+        (Player, made, False),
+    ],
+)
+def test_makers_of_grounds_are_told_apart_by_what_they_are_and_hold(one, other, same):
+    assert (identity_of(one) == identity_of(other)) == same
 
 
 def test_state_that_steps_alone_do_not_lead_to_is_refused():

@@ -9,13 +9,14 @@ import pytest
 from athlete_twin.errors import ConfigError, PhysicsError
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.link import downlink, uplink
-from athlete_twin.messages import Fault
+from athlete_twin.messages import Fault, Stop, decode
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
 from envs.recording import read_recording
 from envs.scoring import map_error, true_margins
 from envs.trial import Trial, TrialSetup, trajectory_sha256, usable_folder, write_json
 from planner.decisions import ApproveAll, Decision, NoStep, RejectSome
+from planner.underway import SILENCE
 
 KEYS = [
     *("schema_version", "robot", "payload_kg", "scenario", "variant", "seed", "link", "operator", "outcome", "reason"),
@@ -127,6 +128,31 @@ def test_operators_stop_ends_the_trial_with_the_robot_stopped(trial):
     result = t.run()
     assert result.outcome == "operator_abort" and result.e_stops == 1
     assert t.robot.executive.state == "stopped"
+
+
+class HardOfHearing(MockAthlete):
+    """The first so many stops do not come through."""
+
+    def __init__(self, spec, missed):
+        super().__init__(spec)
+        self.missed = missed
+
+    def receive_raw(self, raw):
+        if isinstance(decode(raw), Stop) and self.missed > 0:
+            self.missed -= 1
+            return []
+        return super().receive_raw(raw)
+
+
+@pytest.mark.parametrize("missed", [1, 10**6])
+def test_a_stopped_trial_ends_when_the_ground_knows_of_the_stop_or_after_two_silences(trial, missed):
+    t = trial(operator=Stopper(), robot=HardOfHearing(load_spec("sdm_b"), missed))
+    result = t.run()
+    assert result.outcome == "operator_abort" and result.e_stops == 1
+    assert (t.robot.executive.state == "stopped") == (missed == 1) == (not t.mission.stop_under_way)
+    asked = next(r.t for r in read_recording(t.out / "trial.mcap") if r.topic == "/operator/decision")
+    # Sent once more after a silence, heard a delay later, known a delay after that; what messages take on the link is little.
+    assert result.mission_time_s - asked == pytest.approx(SILENCE + 4.0 if missed == 1 else 2 * SILENCE, abs=0.2)
 
 
 class Interrupter:

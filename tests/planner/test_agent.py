@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from athlete_twin.assets import named_toml, read_toml
-from athlete_twin.errors import PlanningError
+from athlete_twin.errors import ConfigError, PlanningError
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, CommandSequence, Fault, ImageRequest, Receipt, Stop
 from athlete_twin.mock import MockAthlete
@@ -44,6 +44,18 @@ def receipt(sequence: CommandSequence, status: str) -> Receipt:
         seq=10 * sequence.sequence_id + len(status), robot_id=sequence.robot_id, t=2.0, sequence_id=sequence.sequence_id,
         command_index=-1, status=status,
     )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.ci
+def test_unknown_cameras_are_refused_before_anything_goes_up(agent):
+    first = proposal(agent, 1.0)
+    known = [camera.name for camera in agent.spec.cameras]
+    with pytest.raises(ConfigError, match=f"camera 'eye_9' is not one of {agent.spec.name}'s; known: {', '.join(known)}"):
+        agent.decide(Decision(kind="choose_cameras", cameras=(known[0], "eye_9")), 2.0)
+    assert proposal(agent, 2.0) is first
+    sent = agent.decide(Decision(kind="choose_cameras", cameras=(known[0],)), 3.0)
+    assert sent.sequence_id == first.sequence.sequence_id + 1 and sent.commands[0].cameras == (known[0],)
 
 
 @pytest.mark.parametrize("code", ["ratchet_slip", "gremlins"])

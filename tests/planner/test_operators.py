@@ -58,6 +58,55 @@ def test_cautious_approves_at_a_threshold_and_rejects_just_beyond(figure, limit,
         assert (word in decision.reason) == (kind == "reject")
 
 
+def moving(margins, torques):
+    """A preview of a motion with these figures along it."""
+    n = len(margins)
+    still = posing(kinematics("sdm_b"), np.zeros((n, 6, 6)), (SE3.identity(),) * n, seconds=1.0)
+    return dataclasses.replace(still, margins=np.array(margins, dtype=float), torque_fractions=np.array(torques, dtype=float))
+
+
+NAN = float("nan")
+UNFORESEEN = {"kind": "shift", "leg": -1, "predicted_margin": NAN, "predicted_torque_fraction": NAN, "predicted_clearance": NAN}
+
+
+@pytest.mark.parametrize("planned", [{}, UNFORESEEN])
+@pytest.mark.parametrize(
+    ("margins", "torques", "said"),
+    [
+        ((1.6, 0.9, 1.6), (0.2, NAN, 0.6), ""),
+        ((NAN, NAN, NAN), (NAN, NAN, NAN), ""),
+        ((1.6, 0.9, 1.6), (0.2, 0.95, NAN), "torque 0.950 of the limit, wants at most 0.9"),
+        ((1.6, NAN, 0.2), (0.2, 0.2, 0.2), "margin 0.200 m, wants at least 0.35"),
+        ((1.6, -np.inf, 1.6), (0.2, np.inf, 0.2), "margin -inf m, wants at least 0.35; torque inf of the limit, wants at most 0.9"),
+    ],
+)
+def test_cautious_judges_the_whole_motion_whatever_the_planner_foresaw(planned, margins, torques, said):
+    decision, _ = Cautious().decide(proposal(preview=moving(margins, torques), **planned), 0.0)
+    assert decision.reason == said and decision.kind == ("reject" if said else "approve")
+
+
+def test_cautious_takes_the_worse_of_plan_and_preview():
+    shown = {"preview": moving((1.6, 0.5), (0.2, 0.5)), "predicted_margin": 0.1, "predicted_torque_fraction": 0.99}
+    decision, _ = Cautious().decide(proposal(**shown), 0.0)
+    assert decision.reason.startswith("margin 0.100 m") and "torque 0.990" in decision.reason
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("robot", ["sdm_b", "t12"])
+def test_cautious_approves_the_sound_steps_of_a_walk_on_flat_ground(robot, tmp_path):
+    """A whole gait cycle of this project's planner on the mock: no fault, nothing near a limit, nothing to refuse."""
+    from athlete_twin.link import downlink, uplink
+    from envs.prepare import Wanted, prepared
+
+    wanted = Wanted(
+        robot=robot, scenario="rock_field", variant="blind", seed=1, operator="cautious", up=uplink(1.0), down=downlink(1.0),
+        cycles=1, body="mock",
+    )  # fmt: skip
+    result = prepared(wanted, tmp_path).run()
+    assert result.outcome == "cycles_done" and result.steps_taken == 6
+    assert (result.decisions, result.rejections) == (6, 0)
+
+
 def test_cautious_names_every_reason_with_its_figure():
     decision, _ = Cautious().decide(proposal(predicted_margin=0.1, unknown_share=0.4), 0.0)
     assert decision.reason == "margin 0.100 m, wants at least 0.35; unknown ground 0.400 of the footfall, wants at most 0.05"
