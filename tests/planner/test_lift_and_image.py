@@ -64,7 +64,7 @@ def test_a_raised_leg_without_a_step_comes_down_to_the_ground_and_no_higher(agen
     """From half a metre up the usual search depth would end in the air."""
     proposal = agent.next(2.0)
     sequence = agent.decide(Decision(kind="approve"), 2.0)
-    lift, belief = agent._attempt, agent.belief
+    lift, belief = agent._attempts[proposal.leg], agent.belief
     motors = belief.motors.copy()
     motors[proposal.leg] = sequence.commands[1].waypoints[-1]
     planted = belief.planted.copy()
