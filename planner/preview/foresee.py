@@ -161,6 +161,8 @@ class _Foresight:
         end = self.rows[-1]
         if len(self.begins) == len(self.sequence.commands) and not self.faults:
             self.rows.append((end[0] + SETTLING_TIME, *end[1:]))
+        elif self.t > end[0]:  # what refuses a command is told a tick after the one before it
+            self.rows.append((self.t, *end[1:]))
         times, joints, poses, wheels, margins, torques = zip(*self.rows, strict=True)
         return Preview(
             times=np.array(times), joints=np.array(joints), world_from_hex=poses, wheels_in_world=np.array(wheels),
