@@ -88,6 +88,10 @@ class AlignConfig:
     """length of the correction at the middle of the points: a larger one is a false fit [m]"""
     max_angle: float = 0.035
     """[rad]"""
+    least_relief: float = 0.010
+    """of the ground about a plane (1.48 times the median), so that its shape shows place and yaw; on smoother ground what repeats from
+    view to view are the cameras' own errors, some millimetres that go along with the robot, and would hold it where it was. EST: twice
+    the map's error [m]"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -281,6 +285,11 @@ def judged(
         reason = f"correction of {length:.3f} m, {angle:.4f} rad over {config.max_shift} m, {config.max_angle} rad"
     elif np.median(np.abs(after)) > np.median(np.abs(before)):
         reason = f"median misfit grew from {np.median(np.abs(before)):.4f} m to {np.median(np.abs(after)):.4f} m"
+    if _relief(places) < config.least_relief:
+        tilt = Rotation.from_matrix(rotation).as_rotvec() * [1.0, 1.0, 0.0]
+        rotation, shift = Rotation.from_rotvec(tilt).as_matrix(), shift * [0.0, 0.0, 1.0]
+        shown = np.array([1.0, 1.0, 0.0, 0.0, 0.0, 1.0])
+        information = information * np.outer(shown, shown)
     correction = SE3.identity() if reason else SE3(rotation, centre + shift - rotation @ centre)
     return Alignment(
         correction=correction,
@@ -293,6 +302,13 @@ def judged(
         middle=centre,
         information=information,
     )
+
+
+def _relief(places: Points3) -> float:
+    """How far ground lies from its plane, robustly: a few stones on a smooth yard leave it smooth [m]."""
+    design = np.column_stack([places[:, :2], np.ones(len(places))])
+    plane = np.linalg.lstsq(design, places[:, 2], rcond=None)[0]
+    return 1.4826 * float(np.median(np.abs(places[:, 2] - design @ plane)))
 
 
 def _fit_to_grid(

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from athlete_twin.errors import ConfigError, SupportError
 from athlete_twin.geometry.open3d_loader import open3d
 from athlete_twin.geometry.se3 import SE3
-from planner.perception.localise import WheelFitConfig, align_to_map, fit_wheels, pose_from_wheels
+from planner.perception.localise import AlignConfig, WheelFitConfig, align_to_map, fit_wheels, pose_from_wheels
 from planner.terrain.elevation import GridLayout
 from planner.terrain.fusion import FusionConfig, TerrainMap
 
@@ -115,6 +115,31 @@ def test_plane_gives_no_sideways_motion():
     result = align_to_map(points, fused(plane))
     assert result.accepted, result.reason
     np.testing.assert_allclose(result.correction.apply(np.zeros(3)), [0.0, 0.0, -0.03], atol=0.006)
+
+
+def test_what_the_cameras_err_by_on_smooth_ground_does_not_hold_the_robot_where_it_was():
+    """The same waves of 4 mm in every view, carried along by the robot: on smooth ground they look like a robot that stood still."""
+
+    def seen(at, ground):
+        xy = np.random.default_rng(7).uniform(-1.6, 1.6, (40000, 2))
+        height = ground(xy[:, 0], xy[:, 1]) + 0.004 * np.sin(9.0 * (xy[:, 0] - at)) * np.cos(7.0 * xy[:, 1])
+        return np.column_stack([xy, height])
+
+    def found(ground, config=None):
+        terrain = TerrainMap(LAYOUT, config=FusionConfig())
+        terrain.fuse_points(seen(0.0, ground), np.full(40000, 0.004))
+        return align_to_map(seen(0.10, ground), terrain.fused(), config=config)
+
+    def yard(x, y):
+        return 0.006 * np.sin(0.9 * x + 0.3 * y)
+
+    fooled = found(yard, AlignConfig(least_relief=0.0))
+    assert fooled.accepted and abs(fooled.correction.apply(np.zeros(3))[0]) > 0.03
+    smooth = found(yard)
+    assert np.abs(smooth.correction.apply(np.zeros(3))[:2]).max() < 2e-3 and not smooth.information[[2, 3, 4]].any()
+    assert smooth.information[5, 5] > 0.0
+    rough = found(bumps)
+    assert np.abs(rough.correction.apply(np.zeros(3))[:2]).max() < 0.01 and (np.diag(rough.information) > 0.0).all()
 
 
 def test_aligned_view_is_left_alone():
