@@ -50,7 +50,7 @@ def maps_figure(trial: TrialRecording) -> bytes:
         _paths(axes, believed_path, true_path, ours=path is true_path)
         if end is not None:
             _chassis(axes, trial, end, colour=TRUE if path is true_path else BELIEVED)
-    _marks(left, [(p.leg, k + 1, p.footfall[:2]) for k, p in enumerate(steps)])
+    _marks(left, [(leg, k + 1, place[:2]) for k, p in enumerate(steps) for leg, place in p.footfalls])
     _marks(right, [(f.leg, f.number, f.contact[:2]) for f in footfalls])
     for axes, title in ((left, "What the ground believed"), (right, "What was true")):
         axes.set(xlim=x_range, ylim=y_range, title=title, xlabel="x [m]")

@@ -77,8 +77,8 @@ class Shown:
     leg: int
     footfall: np.ndarray
     """believed, in world [m]"""
-    legs: tuple[int, ...]
-    """that step together, the one of `leg` first; none of a shift"""
+    together: tuple[tuple[int, np.ndarray], ...]
+    """other legs that step with it, and their footfalls"""
     text: str
     margin: float | None
     sag: float | None
@@ -88,6 +88,11 @@ class Shown:
     """kind of the answer, "" when none was given"""
     decided: float
     """when [s], NaN when never"""
+
+    @property
+    def footfalls(self) -> tuple[tuple[int, np.ndarray], ...]:
+        """All legs that step, and where."""
+        return ((self.leg, self.footfall), *self.together)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -156,7 +161,7 @@ class TrialRecording:
             for leg in range(LEGS):
                 if before[leg] != "stance" and now[leg] == "stance":
                     t = float(self.states.t[k + 1])
-                    asked = [n for n, p in enumerate(steps) if leg in p.legs and p.decided <= t]
+                    asked = [n for n, p in enumerate(steps) if leg in dict(p.footfalls) and p.decided <= t]
                     if not asked:
                         continue
                     contact = self.states.wheels_in_world[k + 1, leg] - [0.0, 0.0, self.spec.wheel.radius]
@@ -281,7 +286,7 @@ def _proposals(lines: dict[str, list[Recorded]]) -> tuple[Shown, ...]:
                 kind=c["kind"],
                 leg=c["leg"],
                 footfall=np.array(c["footfall_in_world"]),
-                legs=(c["leg"], *(other["leg"] for other in c.get("together", ()))) if c["leg"] >= 0 else (),
+                together=tuple((other["leg"], np.array(other["footfall_in_world"])) for other in c.get("together", ())),
                 text=c["text"],
                 margin=c["predicted_margin"],
                 sag=c["predicted_sag"],

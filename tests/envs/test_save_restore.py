@@ -25,6 +25,7 @@ from envs.spaces import KINDS
 
 ROOT = Path(__file__).resolve().parents[2]
 MOCK, TWIN = "AthleteTwin/SdmB-Mock-v0", "AthleteTwin/SdmB-v0"
+T12_MOCK, T12_TWIN = "AthleteTwin/T12-Mock-v0", "AthleteTwin/T12-v0"
 SEED = 5
 STEPS = 120
 LONG = 10_000
@@ -118,7 +119,7 @@ def test_mock_goes_on_from_a_saved_moment_as_it_did():
 
 @pytest.mark.slow
 @pytest.mark.ci
-@pytest.mark.parametrize("name", [TWIN, "AthleteTwin/T12-v0"])
+@pytest.mark.parametrize("name", [TWIN, T12_TWIN])
 def test_twin_goes_on_from_a_saved_moment_as_it_did(name):
     assert check_a_branch(name, steps=120, branches=3) > 6
 
@@ -134,7 +135,7 @@ def test_two_processes_and_a_reset_give_the_same_bits():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [MOCK, TWIN])
+@pytest.mark.parametrize("name", [MOCK, TWIN, T12_MOCK, T12_TWIN])
 def test_ten_thousand_steps_are_the_same_in_processes_after_reset_and_from_a_saved_moment(name):
     elsewhere = in_fresh_process(name, LONG)
     env = made(name)
@@ -188,7 +189,7 @@ def test_vector_environments_show_what_single_ones_show(kind, steps):
     vector.close()
 
 
-@pytest.mark.parametrize("name", [MOCK, "AthleteTwin/T12-Mock-v0"])
+@pytest.mark.parametrize("name", [MOCK, T12_MOCK])
 @pytest.mark.parametrize("steps", [10, *(pytest.param(steps, marks=pytest.mark.slow) for steps in (150, LONG))])
 def test_any_step_of_an_episode_can_be_gone_back_to(name, steps):
     """Every now and then back to the step just left, some steps on: in the end the hash is that of going straight on."""
