@@ -45,7 +45,9 @@ class Captions:
             for name, points in (("DejaVuSans-Bold.ttf", 21), ("DejaVuSans.ttf", 15), ("DejaVuSans-Bold.ttf", 15))
         )
         self._size = size
-        self._title = f"{trial.spec.title}, {trial.figures['scenario']}, {trial.figures['link']['delay_s']:g} s of delay each way"
+        title, scenario = trial.spec.title, trial.figures["scenario"]
+        self._titles = (f"{title}, {scenario}, {trial.figures['link']['delay_s']:g} s of delay each way", f"{title}, {scenario}", "")
+        """the longest that leaves room for what happens is shown"""
         self._end = max(float(trial.track.t[-1]), trial.spans[-1][2] if trial.spans else 0.0, 1e-9)
         self._bar = self._whole_bar(trial)
         f = trial.figures
@@ -68,7 +70,9 @@ class Captions:
         left = 150
         draw.ellipse((left, middle - 7, left + 14, middle + 7), fill=colour)
         draw.text((left + 24, middle), words, font=self._bold, fill="white", anchor="lm")
-        draw.text((width - 18, middle), self._title, font=self._small, fill=(205, 209, 214), anchor="rm")
+        room = width - 18 - (left + 24) - self._bold.getlength(words) - 18
+        shown = next(title for title in self._titles if not title or self._small.getlength(title) <= room)
+        draw.text((width - 18, middle), shown, font=self._small, fill=(205, 209, 214), anchor="rm")
         return np.asarray(image)[..., ::-1].copy()
 
     def _words(self, state: State) -> tuple[str, str]:
