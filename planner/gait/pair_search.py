@@ -32,7 +32,7 @@ from planner.gait.step_search import (
     foreseen_sag,
     lifted_leg,
     lifting_torque,
-    load_change,
+    next_lift,
     search_step,
     sideways_response,
 )
@@ -182,8 +182,7 @@ def _joined(
     if refusal := _landed_refusal(pose.apply(com), places, config):
         return refusal
     shift = plan_shift(
-        kin, landed, leg=two.leg, next_leg=request.next_leg,
-        next_change=load_change(kin, springs, landed, joints, request, config, payload_kg),
+        kin, landed, leg=two.leg, upcoming=next_lift(kin, springs, landed, joints, request, config, payload_kg),
         landed_joints=joints, contacts_in_world=places, heading=request.heading,
         remaining=request.remaining, behind=request.behind, yaw=request.yaw, swayed=request.swayed,
         sway=config.sway, filled=ground.filled, gait=config.gait, stability=config.stability, limits=config.shift,

@@ -16,7 +16,7 @@ from athlete_twin.geometry.arrays import Joints, PerLeg, Vec2, Vec3, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
-from athlete_twin.model.reach import all_legs_ik
+from athlete_twin.model.reach import all_legs_ik, leg_ik
 from athlete_twin.model.spec import LEGS
 from athlete_twin.model.statics import peak_torque_fraction
 from planner.belief import Belief
@@ -33,6 +33,20 @@ TORQUE_SLACK = 0.02
 FRACTIONS = (1.0, 0.75, 0.5, 0.25, 0.0)
 SHARES = (1.0, 0.75, 0.5, 0.25)
 """of an offset, tried until the leg reaches"""
+LIFT_SPARE = 0.03
+"""of the next lift's height: when it comes it is planned from where the chassis then is believed, some millimetres off [m]"""
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class NextLift:
+    """What is known beforehand of the lift that will follow a step."""
+
+    leg: int
+    """index 0 to 5"""
+    load_change: PerLeg
+    """of the wheels, shape (6,) [N]; zeros where nobody knows"""
+    height: float
+    """by which its axle must rise above where it stands; 0 where nobody knows [m]"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -57,8 +71,7 @@ def plan_shift(
     belief: Belief,
     *,
     leg: int,
-    next_leg: int | None,
-    next_change: PerLeg,
+    upcoming: NextLift | None,
     landed_joints: Joints,
     contacts_in_world: Wheels,
     heading: Vec2,
@@ -81,8 +94,7 @@ def plan_shift(
         kin: of the drawings.
         belief: before the step.
         leg: index 0 to 5 of the leg that steps.
-        next_leg: that will step next, None when nobody knows.
-        next_change: of the wheels' loads when that lifts, shape (6,) [N].
+        upcoming: the lift that will follow, None when nobody knows which.
         landed_joints: of all legs with the wheel down, shape (6, dof) [rad].
         contacts_in_world: with the wheel down, shape (6, 3) [m].
         heading: direction of travel in world.
@@ -104,9 +116,11 @@ def plan_shift(
     wanted = shift_per_step(kin.spec, gait, remaining=remaining, behind=behind, legs=legs)
     body = BodyCollision(kin.spec, filled, collision)
     wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
+    next_leg = None if upcoming is None else upcoming.leg
     offsets = relaxing_offsets(
-        kin, belief, landed_joints, leg=leg, next_leg=next_leg, next_change=next_change, config=limits.relax
-    )
+        kin, belief, landed_joints, leg=leg, next_leg=next_leg,
+        next_change=np.zeros(LEGS) if upcoming is None else upcoming.load_change, config=limits.relax,
+    )  # fmt: skip
     rise, turn = _mending(kin, belief, limits, yaw, float(off[2]))
     allowed = allowed_torques(kin, pose, wheels_in_world, limits, payload_kg)
     refused = ""
@@ -114,7 +128,9 @@ def plan_shift(
         for mend in (1.0, 0.0):
             move = np.append(fraction * wanted * heading, mend * rise)
             end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation - off + move)
-            refusal = stance_refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg)
+            # A leg that cannot be lifted already is no reason against what only mends the chassis' height and attitude.
+            rises = upcoming if fraction > 0.0 else None
+            refusal = stance_refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg, rises)
             if not refusal:
                 change = np.zeros(3)
                 left = max(0.0, remaining - fraction * wanted)
@@ -127,7 +143,9 @@ def plan_shift(
                     )
                     end = _displaced(
                         end, wish, pose,
-                        lambda at: stance_refusal(kin, at, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg),
+                        lambda at: stance_refusal(
+                            kin, at, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg, upcoming
+                        ),
                     )  # fmt: skip
                     change = end.translation - (pose.translation + move)
                 elif swayed is not None:
@@ -180,11 +198,14 @@ def stance_refusal(
     allowed: PerLeg,
     body: BodyCollision,
     payload_kg: float,
+    upcoming: NextLift | None = None,
 ) -> str:
     """What forbids the chassis to stand there; empty when nothing does. `allowed` are torque fractions by lifted leg."""
     joints, ok = _stance_at(kin, end, wheels_in_world)
     if not ok.all():
         return f"reach of leg {int(np.argmin(ok)) + 1}"
+    if upcoming is not None and not _rises(kin, end, wheels_in_world[upcoming.leg], upcoming):
+        return f"lift of leg {upcoming.leg + 1}"
     com = end.apply(kin.com_in_hex(joints, payload_kg))
     if cps_margin(com, contacts_in_world) < stability.min_margin:
         return "CPS margin"
@@ -230,6 +251,16 @@ def _mending(kin: Kinematics, belief: Belief, limits: ShiftLimits, wanted_yaw: f
 def _stance_at(kin: Kinematics, world_from_hex: SE3, wheels: Wheels) -> tuple[Joints, np.ndarray]:
     hex_from_world = world_from_hex.inverse()
     return all_legs_ik(kin.spec, hex_from_world.apply(wheels), last_link_in_hex=hex_from_world.rotate(DOWN))
+
+
+def _rises(kin: Kinematics, world_from_hex: SE3, axle_in_world: Vec3, lift: NextLift) -> bool:
+    """Whether the leg, folded as far as it goes, can raise its wheel: a chassis that has gone on over it leaves it no room."""
+    if lift.height <= 0.0:
+        return True
+    heights = np.array([0.5, 1.0]) * (lift.height + LIFT_SPARE)
+    hex_from_world = world_from_hex.inverse()
+    axles = hex_from_world.apply(axle_in_world - heights[:, None] * DOWN)
+    return bool(leg_ik(kin.spec, lift.leg, axles, last_link_in_hex=hex_from_world.rotate(DOWN))[1].all())
 
 
 def _worst_torques(kin: Kinematics, world_from_hex: SE3, wheels: Wheels, payload: float) -> PerLeg | None:

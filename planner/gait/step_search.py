@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from athlete_twin.errors import ConfigError, PlanningError
-from athlete_twin.geometry.arrays import Joints, PerLeg, PerLegFlag, Points2, Points3, Vec2, Vec3, Wheels
+from athlete_twin.geometry.arrays import Joints, PerLegFlag, Points2, Points3, Vec2, Vec3, Wheels
 from athlete_twin.geometry.grid import HeightGrid
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.kinematics import GRAVITY, Kinematics
@@ -26,7 +26,7 @@ from planner.belief import Belief
 from planner.decisions import NoStep
 from planner.footfall import FootfallMap
 from planner.gait.body_sway import BodySwayConfig
-from planner.gait.shift import ShiftLimits, plan_shift
+from planner.gait.shift import NextLift, ShiftLimits, plan_shift
 from planner.gait.skeleton import GaitConfig, nominal_footfall, stride
 from planner.gait.step_plan import BodyShift, StepPlan
 from planner.motion.collision import CollisionConfig, LegCollision
@@ -468,8 +468,7 @@ def _try(
         return None
     aloft = _aloft(belief, leg)
     shift = BodyShift.none() if aloft.any() else plan_shift(
-        kin, belief, leg=leg, next_leg=request.next_leg,
-        next_change=load_change(kin, springs, belief, landed, request, config, payload_kg),
+        kin, belief, leg=leg, upcoming=next_lift(kin, springs, belief, landed, request, config, payload_kg),
         landed_joints=landed, contacts_in_world=contacts, heading=request.heading,
         remaining=request.remaining, behind=request.behind, yaw=request.yaw, swayed=request.swayed,
         sway=config.sway, filled=ground.filled, gait=config.gait, stability=config.stability, limits=config.shift,
@@ -509,12 +508,12 @@ def _try(
     )
 
 
-def load_change(
+def next_lift(
     kin: Kinematics, springs: FootSprings, belief: Belief, landed: Joints, request: StepRequest, config: StepConfig, payload: float
-) -> PerLeg:
-    """By how much each wheel's load changes when the next leg lifts, shape (6,) [N]; zeros where nobody knows."""
+) -> NextLift | None:
+    """What the next leg's lift will ask of the legs standing at `landed`; None where nobody knows which leg that is."""
     if request.next_leg is None:
-        return np.zeros(LEGS)
+        return None
     com = kin.com_in_hex(landed, payload)
     sag = predict_sag(
         kin.wheels_in_hex(landed), request.next_leg, com_planted=com, com_airborne=com, weight=(kin.spec.mass + payload) * GRAVITY,
@@ -522,8 +521,10 @@ def load_change(
         docks=Docks.of(kin, landed) if config.sag.docks else None,
     )  # fmt: skip
     if sag.status != "converged":
-        return np.zeros(LEGS)
-    return np.asarray((sag.forces_swinging - sag.forces_standing) @ -belief.gravity_in_hex() / GRAVITY)
+        return NextLift(leg=request.next_leg, load_change=np.zeros(LEGS), height=0.0)
+    change = np.asarray((sag.forces_swinging - sag.forces_standing) @ -belief.gravity_in_hex() / GRAVITY)
+    height = sag.commanded_lift + config.touchdown.lift_clearance * kin.spec.wheel.radius
+    return NextLift(leg=request.next_leg, load_change=change, height=height)
 
 
 def _raised(heights: HeightGrid, by: float) -> HeightGrid:

@@ -11,7 +11,7 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.model.reach import all_legs_ik
 from athlete_twin.model.statics import peak_torque_fraction
 from planner.gait.body_sway import BodySwayConfig, NextSwing, best_sway, swing_fractions
-from planner.gait.shift import plan_shift
+from planner.gait.shift import NextLift, plan_shift
 from planner.gait.skeleton import nominal_footfall
 from planner.gait.step_plan import BodyShift, StepPlan
 from planner.gait.step_search import StepRequest, on_path, search_step
@@ -20,14 +20,15 @@ AHEAD = np.array([1.0, 0.0])
 DOWN = np.array([0.0, 0.0, -1.0])
 MILLIMETRE = 1e-3
 NEXT = 2
+COMING = NextLift(leg=NEXT, load_change=np.zeros(6), height=0.0)
 SWAY = BodySwayConfig()
 
 
 def shift(robot, grid, *, remaining: float = 10.0, **what) -> BodyShift:
     step, belief = robot.config.step, robot.belief
-    settings = {"next_leg": NEXT, "sway": SWAY, "swayed": np.zeros(3), "limits": step.shift, "stability": step.stability} | what
+    settings = {"upcoming": COMING, "sway": SWAY, "swayed": np.zeros(3), "limits": step.shift, "stability": step.stability} | what
     return plan_shift(
-        robot.kin, belief, leg=0, next_change=np.zeros(6), landed_joints=belief.joints, contacts_in_world=belief.contacts_in_world,
+        robot.kin, belief, leg=0, landed_joints=belief.joints, contacts_in_world=belief.contacts_in_world,
         heading=AHEAD, remaining=remaining, behind=0.0, filled=grid, gait=step.gait, collision=step.collision, payload_kg=0.0, **settings,
     )  # fmt: skip
 
@@ -101,7 +102,7 @@ def test_where_the_rule_allows_no_place_the_chassis_stays_on_its_path(robot):
     np.testing.assert_array_equal(wish, np.zeros(3))
 
 
-@pytest.mark.parametrize("last", [{"remaining": 0.1}, {"next_leg": None}, {"sway": None}])
+@pytest.mark.parametrize("last", [{"remaining": 0.1}, {"upcoming": None}, {"sway": None}])
 def test_the_last_shift_and_one_before_an_unknown_step_bring_the_chassis_back_to_its_path(robot, field, last):
     off = np.array([0.03, -0.05, 0.04])
     back = shift(robot, field(), swayed=off, **last)

@@ -7,9 +7,9 @@ import pytest
 
 from athlete_twin.geometry.polygon import conservative_distance, signed_distance
 from athlete_twin.geometry.se3 import SE3
-from athlete_twin.model.reach import all_legs_ik
+from athlete_twin.model.reach import all_legs_ik, leg_ik
 from planner.gait.relax import RelaxConfig
-from planner.gait.shift import plan_shift
+from planner.gait.shift import LIFT_SPARE, NextLift, plan_shift
 from planner.gait.skeleton import shift_per_step
 from planner.gait.step_plan import BodyShift
 
@@ -18,8 +18,10 @@ DOWN = np.array([0.0, 0.0, -1.0])
 MILLIMETRE = 1e-3
 
 
-def shift(robot, grid, *, belief=None, next_leg=None, next_change=None, **what) -> BodyShift:
+def shift(robot, grid, *, belief=None, next_leg=None, next_change=None, next_height=0.0, **what) -> BodyShift:
     belief, step = belief or robot.belief, robot.config.step
+    change = np.zeros(6) if next_change is None else next_change
+    upcoming = None if next_leg is None else NextLift(leg=next_leg, load_change=change, height=next_height)
     settings = {
         "leg": 0, "heading": AHEAD, "remaining": 10.0, "behind": 0.0,
         "stability": step.stability, "limits": step.shift, "collision": step.collision,
@@ -27,7 +29,7 @@ def shift(robot, grid, *, belief=None, next_leg=None, next_change=None, **what) 
     settings["heading"] = np.asarray(settings["heading"])
     return plan_shift(
         robot.kin, belief, landed_joints=belief.joints, contacts_in_world=belief.contacts_in_world, filled=grid, gait=step.gait,
-        payload_kg=0.0, next_leg=next_leg, next_change=np.zeros(6) if next_change is None else next_change, **settings,
+        payload_kg=0.0, upcoming=upcoming, **settings,
     )  # fmt: skip
 
 
@@ -141,3 +143,34 @@ def test_an_offset_beyond_reach_is_shortened_until_the_leg_reaches(robot, field)
     assert ok.all()
     taken = np.linalg.norm(made.wheel_offsets_in_hex[1]) / far
     assert any(taken == pytest.approx(share, abs=1e-6) for share in (0.0, 0.25, 0.5, 0.75, 1.0))
+
+
+def test_the_chassis_does_not_go_on_over_a_leg_until_that_cannot_be_lifted(robot, field):
+    """What its wheel can rise half-way between half and three quarters of the shift is asked of it.
+
+    SDM-B's has least room under its hip, T12's, whose hips are 2 m higher, far from it.
+    """
+    leg, start = 0, robot.belief.world_from_hex
+    way = AHEAD if robot.spec.name == "sdm_b" else -AHEAD
+    low = robot.kin.wheels_in_hex(robot.belief.motors) + [0.0, 0.0, 0.03]
+    motors, ok = all_legs_ik(robot.spec, low)
+    assert ok.all()
+    belief = replace(robot.belief, motors=motors)  # 3 cm too low: also to be mended
+    settings = {"belief": belief, "next_leg": leg, "heading": 4.0 * way}
+    whole = end_of(robot, shift(robot, field(), **settings), belief).translation - start.translation
+    room = [_room_above(robot, leg, SE3(start.rotation, start.translation + share * whole)) for share in (0.0, 0.625, 1.0)]
+    assert room[0] > room[1] > room[2] > LIFT_SPARE
+    made = shift(robot, field(), **settings, next_height=room[1] - LIFT_SPARE)
+    assert (made.fraction, made.cut_by) == (0.5, f"lift of leg {leg + 1}")
+    stuck = shift(robot, field(), **settings, next_height=room[0] + 0.1)
+    assert (stuck.fraction, stuck.cut_by) == (0.0, f"lift of leg {leg + 1}")
+    assert stuck.translation_in_hex == pytest.approx([0.0, 0.0, 0.03], abs=MILLIMETRE)
+
+
+def _room_above(robot, leg: int, pose: SE3) -> float:
+    """By how much the leg can raise its wheel straight up from where it stands, the chassis at `pose` [m], within 2 mm."""
+    wheel = robot.belief.world_from_hex.apply(robot.kin.wheels_in_hex(robot.belief.joints))[leg]
+    heights = np.arange(0.0, 4.0, 0.002)
+    axles = pose.inverse().apply(wheel - heights[:, None] * DOWN)
+    _, ok = leg_ik(robot.spec, leg, axles, last_link_in_hex=pose.inverse().rotate(DOWN))
+    return float(heights[np.argmin(ok) - 1])
