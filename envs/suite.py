@@ -23,6 +23,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -77,7 +78,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True)
 class Suite:
-    """Cases in the order in which they are run."""
+    """Cases in the order in which they are named."""
 
     name: str
     description: str
@@ -102,12 +103,21 @@ class Suite:
         return hashlib.sha256(json.dumps(content).encode()).hexdigest()
 
     def of_robots(self, robots: Sequence[str]) -> tuple[Case, ...]:
-        """Its cases for these robots, all of them when none is named."""
+        """Its cases for these robots, all of them when none is named; however many of the first are run, each kind has its share."""
         known = sorted({case.robot for case in self.cases})
         for robot in robots:
             if robot not in known:
                 raise ConfigError(f"suite {self.name} has no cases for robot {robot!r}{did_you_mean(robot, known)}")
-        return tuple(c for c in self.cases if not robots or c.robot in robots)
+        chosen = [c for c in self.cases if not robots or c.robot in robots]
+        size, seen, place = Counter(map(_kind, chosen)), Counter[tuple[str, str, float]](), {}
+        for case in chosen:
+            place[case.id] = (seen[_kind(case)] + 0.5) / size[_kind(case)]
+            seen[_kind(case)] += 1
+        return tuple(sorted(chosen, key=lambda case: place[case.id]))
+
+
+def _kind(case: Case) -> tuple[str, str, float]:
+    return case.robot, case.scenario, case.delay
 
 
 def load_suite(name_or_path: str) -> Suite:

@@ -5,14 +5,17 @@
         --out results/mine
 
 Writes `results.jsonl` (one trial a line), a folder for each trial below `trials/`, and `report.html`. Killed at any moment or
-stopped by Ctrl-C, the same command goes on where it was. A trial that cannot be run is a row too, with its reason. Exit status 0
-when every trial has its row, 2 and one line for bad usage, 130 when it was interrupted.
+stopped by Ctrl-C, the same command goes on where it was. A trial that cannot be run is a row too, with its reason. Cases are run in
+an order in which any first part is a fair sample of the whole: `--hours 2` runs as many as that leaves time for, and the same command
+later goes on from there. Exit status 0 when every trial has its row, or every case that was begun when time was up; 2 and one line for bad
+usage, 130 when it was interrupted.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
+import math
 import shutil
 import signal
 import sys
@@ -51,6 +54,8 @@ class Options:
     """a trial ends after so many gait cycles; the scenario's own when not given"""
     time_limit: float | None = None
     """mission time [s]; the scenario's own when not given"""
+    hours: float | None = None
+    """after which no other case is begun; those that were are walked by all variants, and reported; all cases when not given"""
     workers: int | None = None
     """trials at once; as many as there are cores when not given"""
     ray: str | None = None
@@ -102,6 +107,7 @@ def _compare(options: Options) -> None:
     _check_metrics(options.metrics)
     check_baseline(options.baseline, options.variants, options.out)
     check_workers(options.workers, cluster=options.ray is not None)
+    check_hours(options.hours)
     asked = asked_for(suite, cases, options.variants, body=options.body)
     if options.dry_run:
         _show_plan(suite, asked, workers=options.workers)
@@ -112,9 +118,10 @@ def _compare(options: Options) -> None:
         check_room(asked, options.out)
     with Bar(Console(stderr=True)) as bar:
         rows = run_all(
-            asked, options.out, crew=_crew(options), onlooker=bar, retry_errors=options.retry_errors, unwanted=unwanted
-        )
-    _after(options, rows)
+            asked, options.out, crew=_crew(options), onlooker=bar, retry_errors=options.retry_errors, unwanted=unwanted,
+            seconds=math.inf if options.hours is None else 3600.0 * options.hours,
+        )  # fmt: skip
+    _after(options, rows, wanted=len(asked))
 
 
 def chosen_suite(options: Options) -> Any:
@@ -178,6 +185,12 @@ def check_workers(workers: int | None, *, cluster: bool) -> None:
         raise ConfigError(f"workers is {workers}, must be {limit}")
 
 
+def check_hours(hours: float | None) -> None:
+    """Refuses a time in which nothing can be run."""
+    if hours is not None and not 0.0 < hours < math.inf:
+        raise ConfigError(f"hours is {hours:g}, must be positive and finite; leave it out to run every case")
+
+
 def check_room(asked: Sequence[Any], out: Path) -> None:
     """Refuses a disk that the recordings would fill: every trial after that would be one that could not be run."""
     from run_progress import megabytes
@@ -232,13 +245,15 @@ def _show_plan(suite: Any, asked: Sequence[Any], *, workers: int | None) -> None
     sys.stdout.write("\n".join(lines) + "\n")
 
 
-def _after(options: Options, rows: Sequence[dict[str, Any]]) -> None:
+def _after(options: Options, rows: Sequence[dict[str, Any]], *, wanted: int) -> None:
     from comparison_films import drop_recordings, film
 
     filmed = film(options.out, rows, workers=options.workers) if options.films else []
     drop_recordings(options.out, rows, keep=options.keep, filmed=filmed)
     errors = [row for row in rows if row["outcome"] == "error"]
     sys.stdout.write(f"{len(rows)} trials, {len(errors)} of which could not be run, in {options.out / 'results.jsonl'}\n")
+    if len(rows) < wanted:
+        sys.stdout.write(f"time was up: {wanted - len(rows)} of {wanted} trials were not begun; the same command goes on with them\n")
     for row in errors[:5]:
         sys.stdout.write(f"  {row['case']} {row['variant']}: {row['reason']}\n")
     if importlib.util.find_spec("variant_report") is not None:

@@ -13,7 +13,7 @@ from variant_details import compared_table, films_section, provenance_footer, re
 from variant_export import counted, median_cell, p_value, share, title_of, total_cell
 from variant_figures import Look, delay_figure, looks_of, outcome_figure, success_figure, time_figure
 from variant_metrics import BY_NAME, Row, succeeded
-from variant_rows import ERROR, RECOMMENDED
+from variant_rows import ERROR, RECOMMENDED, not_run
 from variant_spreads import difference_figure, spread_figure, stage_figure
 from variant_statistics import FEWEST_PAIRS
 from variant_tables import Comparison, Place, effects_by_ground, fewest_pairs, successes
@@ -116,11 +116,14 @@ def _header(study: Study) -> str:
     mock = any((r["provenance"] or {}).get("body") == "mock" for r in rows)
     hollow = " <b>Walked by the mock, without physics on flat ground: these figures say nothing of the robots.</b>" if mock else ""
     lost = f" {broken} of them could not be run and count as not reached." if broken else ""
+    lacking = not_run(study.folder, rows)
+    have = "has" if lacking == 1 else "have"
+    part = f" <b>A part only: {counted(lacking, 'case')} of those asked for {have} not been run.</b>" if lacking else ""
     trials, cases = counted(len(rows), "trial"), counted(len({r["case"] for r in rows}), "case")
     keys = "".join(f'<span><i style="background:{look.colour}"></i>{html.escape(v)}</span>' for v, look in study.looks.items())
     return (
         f"<header><h1>Planner variants compared</h1><p>{html.escape(robots)} in {html.escape(scenarios)}; {delays} s of delay each way; "
-        f'{trials}, {cases}.{lost}{hollow}</p><div class="key">{keys}</div></header>'
+        f'{trials}, {cases}.{part}{lost}{hollow}</p><div class="key">{keys}</div></header>'
     )
 
 

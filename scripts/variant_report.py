@@ -2,9 +2,9 @@
 
     python scripts/variant_report.py out/comparison [--metrics success progress_m] [--baseline drats_2010]
 
-Reads `results.jsonl` of the folder alone, and looks which trials have a report and a film. Writes `report.html`, `results.csv`,
-`results.md` and, where pyarrow is installed, `results.parquet`. Exit status 0 when they were written, 2 and one line when the folder's
-rows do not compare or a name is unknown.
+Reads `results.jsonl` of the folder, with what it was asked for (`variants.txt`, `cases.txt`), and looks which trials have a report and
+a film. Writes `report.html`, `results.csv`, `results.md` and, where pyarrow is installed, `results.parquet`. Exit status 0 when they were
+written, 2 and one line when the folder's rows do not compare or a name is unknown.
 """
 
 from __future__ import annotations

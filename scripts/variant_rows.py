@@ -15,7 +15,8 @@ from variant_metrics import METRICS, Row, succeeded
 
 from athlete_twin.errors import ConfigError, RecordingError
 
-FILE = "results.jsonl"
+FILE, VARIANTS, CASES = "results.jsonl", "variants.txt", "cases.txt"
+"""rows, and what was asked for: variants in their order, cases"""
 ERROR = "error"
 """outcome of a trial that could not be run"""
 RECOMMENDED = "integrated"
@@ -29,8 +30,22 @@ STAGES = (
 REQUIRED = (*IDENTIFYING, "gait_cycles", *PARTS, *dict.fromkeys(m.name.split(".")[0] for m in METRICS if m.name != "success"))
 
 
+def not_run(folder: Path, rows: Sequence[Row]) -> int:
+    """How many cases the folder was asked for (`cases.txt`) of which it has no row; 0 where that was not noted."""
+    return len(set(_noted(folder / CASES)) - {row["case"] for row in rows})
+
+
+def _noted(path: Path) -> list[str]:
+    try:
+        return path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:  # results.jsonl may be all that there is
+        return []
+    except (OSError, UnicodeDecodeError) as e:
+        raise RecordingError(f"{path} cannot be read ({e}); name a folder written by benchmark_variants.py") from e
+
+
 def read_rows(folder: Path) -> list[Row]:
-    """Rows of the folder's `results.jsonl`: variants in the order in which they first stand there, of each its cases by name.
+    """Rows of the folder's `results.jsonl`: variants in the order of its `variants.txt`, or as they first stand; of each its cases by name.
 
     Raises:
         RecordingError: the file is missing, empty or broken, or mixes suites or versions.
@@ -56,7 +71,7 @@ def read_rows(folder: Path) -> list[Row]:
     if not rows:
         raise RecordingError(f"{path} holds no whole row yet; run benchmark_variants.py --out {folder} until a trial has ended")
     _of_one_kind(path, list(rows.values()))
-    order = {variant: i for i, variant in enumerate(dict.fromkeys(variant for _, variant in rows))}
+    order = {variant: i for i, variant in enumerate(dict.fromkeys([*_noted(folder / VARIANTS), *(variant for _, variant in rows)]))}
     return sorted((row for _, row in rows.values()), key=lambda row: (order[row["variant"]], row["case"]))
 
 

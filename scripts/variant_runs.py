@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import fcntl
 import json
+import math
 import os
 import shutil
 import time
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,7 +37,7 @@ from envs.suite_trial import (
 from envs.trial import usable_folder
 
 Row = dict[str, Any]
-RESULTS, TRIALS, LOCK, VARIANTS = "results.jsonl", "trials", ".lock", "variants.txt"
+RESULTS, TRIALS, LOCK, VARIANTS, CASES = "results.jsonl", "trials", ".lock", "variants.txt", "cases.txt"
 PATIENCE = 5.0
 """for which a lock is awaited: the trials of a runner that was killed end a moment after it [s]"""
 
@@ -100,8 +101,10 @@ def run_all(
     onlooker: Onlooker,
     retry_errors: bool = False,
     unwanted: Sequence[str] = (),
+    seconds: float = math.inf,
+    clock: Callable[[], float] = time.monotonic,
 ) -> list[Row]:
-    """Runs what has no row yet; the rows of all that was asked, in that order.
+    """Runs what has no row yet; the rows of what was asked, in that order: of all of it, unless time was up.
 
     Args:
         asked: the trials.
@@ -110,21 +113,25 @@ def run_all(
         onlooker: is told how far it is.
         retry_errors: also run again what could not be run before.
         unwanted: names of files in a trial's folder that are deleted once its row is written.
+        seconds: after which no other case is begun; one that was begun is walked by every variant, so that there are pairs alone.
+        clock: tells the time [s].
     """
+    until = clock() + seconds
     try:
         with results_of(out) as results:
             results.unwanted = unwanted
             results.check(asked)
             results.note_variants(asked)
+            results.note_cases(asked)
             if retry_errors:
                 results.forget_errors(asked)
             for one in asked:
                 results.adopt(one)
             todo = deque(one for one in asked if one.key not in results.rows)
             onlooker.begins(asked, [results.rows[a.key] for a in asked if a.key in results.rows], workers=crew.size)
-            _run(todo, results, crew, onlooker)
+            _run(todo, results, crew, onlooker, time_is_up=lambda: clock() >= until)
             results.sort(asked)
-            return [results.rows[one.key] for one in asked]
+            return [results.rows[one.key] for one in asked if one.key in results.rows]
     finally:
         crew.stop()
 
@@ -222,6 +229,12 @@ class Results:
         self.variants = list(dict.fromkeys([*known, *(variant for _, variant in self.rows), *(a.variant for a in asked)]))
         _replace(path, [f"{variant}\n".encode() for variant in self.variants])
 
+    def note_cases(self, asked: Sequence[Asked]) -> None:
+        """Notes all cases that this folder was ever asked for: the report says how many of them have not been run."""
+        path = self.out / CASES
+        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        _replace(path, [f"{case}\n".encode() for case in dict.fromkeys([*known, *(a.case.id for a in asked)])])
+
     def adopt(self, asked: Asked) -> None:
         """Gives a trial its row that was complete when its runner was killed."""
         folder = self.folder(asked)
@@ -272,14 +285,18 @@ class Results:
         _replace(self.out / RESULTS, [_line(row) for row in self.rows.values()])
 
 
-def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker) -> None:
+def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker, *, time_is_up: Callable[[], bool]) -> None:
     running = 0
+    begun = {case for case, _ in results.rows}
     while todo or running:
+        if todo and time_is_up():
+            todo = deque(one for one in todo if one.case.id in begun)
         while todo and running < crew.size:
+            begun.add(todo[0].case.id)
             crew.start(todo[0], results.emptied(todo[0]), lock=results.lock)
             onlooker.started(todo.popleft())
             running += 1
-        ended = crew.ended()
+        ended = crew.ended() if running else []
         for asked, status in ended:
             running -= 1
             folder = results.folder(asked)

@@ -6,6 +6,7 @@ mock in real processes and kill these and the runner for real.
 
 import fcntl
 import io
+import itertools
 import json
 import os
 import random
@@ -161,6 +162,23 @@ def test_variants_on_one_case_run_before_the_next_case(runs, tmp_path):
 
 
 @settings(max_examples=25)
+@given(seconds=st.integers(0, 9), order=st.integers(0, 9))
+def test_when_time_is_up_cases_that_were_begun_are_whole_and_the_same_command_goes_on(runs, undisturbed, tmp_path_factory, seconds, order):
+    """A clock that ticks whenever it is read: no other case begins, no variant of one that did is missing."""
+    out = tmp_path_factory.mktemp("timed")
+    whole_out, expected = undisturbed
+    ticks = itertools.count()
+    rows = runs.run_all(asked(), out, crew=PretendedCrew(order=order), onlooker=Nobody(), seconds=seconds, clock=lambda: next(ticks))
+    assert rows == [r for r in expected if r["case"] in {row["case"] for row in rows}] == expected[: len(rows)]
+    assert len(rows) < len(expected) or seconds > 4
+    assert (out / "cases.txt").read_text().splitlines() == [c.id for c in SUITE.cases]
+    crew = PretendedCrew(order=order)
+    assert runs.run_all(asked(), out, crew=crew, onlooker=Nobody()) == expected
+    assert len(crew.ran) == len(expected) - len(rows)
+    assert (out / "results.jsonl").read_bytes() == (whole_out / "results.jsonl").read_bytes()
+
+
+@settings(max_examples=25)
 @given(lives=st.lists(st.integers(0, 30), max_size=4), torn=st.integers(0, 400), order=st.integers(0, 9))
 def test_killed_anywhere_no_trial_is_lost_and_no_row_repeated(runs, undisturbed, tmp_path_factory, lives, torn, order):
     out = tmp_path_factory.mktemp("killed")
@@ -264,7 +282,7 @@ def test_the_report_is_told_of_the_baseline_and_metrics_that_were_asked_for(scri
     report = SimpleNamespace(write_report=lambda folder, **options: told.append(options), __spec__=SimpleNamespace())
     monkeypatch.setitem(sys.modules, "variant_report", report)
     for more in ({}, {"baseline": "sway", "metrics": ("success",)}):
-        main._after(main.Options(variants=("blind",), out=tmp_path, films=False, **more), [])
+        main._after(main.Options(variants=("blind",), out=tmp_path, films=False, **more), [], wanted=0)
     assert told == [{"metrics": None, "baseline": None}, {"metrics": ("success",), "baseline": "sway"}]
     runs.run_all(asked(variants=["sway"]), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
     main.check_baseline("sway", ["blind"], tmp_path)
@@ -361,7 +379,7 @@ def full_after(writes):
 
 def test_a_full_disk_is_one_line(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda _fd: next(room))
-    for writes, name in ((0, "variants.txt.part"), (1, "results.jsonl")):
+    for writes, name in ((0, "variants.txt.part"), (1, "cases.txt.part"), (2, "results.jsonl")):
         room = full_after(writes)
         with pytest.raises(RecordingError, match=rf"{name} cannot be written: No space left on device; make room"):
             runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
@@ -449,6 +467,8 @@ def test_off_a_terminal_a_plain_line_follows_a_trial_once_a_minute_at_most(scrip
         ("--variants blind --scenarios nope --seeds 0", "scenario 'nope' is not known"),
         ("--variants blind --scenarios rock_field --seeds 5:2", "seeds '5:2'"),
         ("--variants blind --scenarios rock_field --seeds 0 --delays -1", "link delay is -1.0 s, must be 0 or more"),
+        ("--variants blind --suite small --hours 0", "hours is 0, must be positive and finite; leave it out to run every case"),
+        ("--variants blind --suite small --hours nan", "hours is nan, must be positive"),
         ("--variants blind --suite small --workers 0", "workers is 0, must be 1 to"),
         ("--variants blind --suite small --workers 9999", "--ray takes it to others"),
         ("--variants blind --suite small --workers 0 --ray local", "workers is 0, must be 1 or more"),

@@ -109,6 +109,16 @@ def test_the_baseline_that_is_asked_for_is_named(report, tmp_path):
     assert "The baseline is <b>blind</b>, as asked for" in page and "Baseline: blind." in (tmp_path / "results.md").read_text()
 
 
+def test_a_part_of_what_was_asked_for_says_so_and_keeps_the_first_variant(report, tmp_path):
+    rows = made_up.comparison(robots=("sdm_b",), scenarios=("rock_field",), seeds=3, variants=("integrated", "blind"))
+    folder = made_up.write(tmp_path, rows)
+    (folder / "cases.txt").write_text("\n".join([*dict.fromkeys(r["case"] for r in rows), "sdm_b-rock_field-8-5", "sdm_b-rock_field-9-5"]))
+    (folder / "variants.txt").write_text("blind\nintegrated\n")
+    page = words(report.write_report(folder, metrics=("success",)).read_text())
+    assert "A part only: 2 cases of those asked for have not been run." in page
+    assert "The baseline is  blind" in page
+
+
 def test_links_go_to_the_trials_that_have_something(study):
     _, rows, page = study
     folder = rows[0]["folder"]
