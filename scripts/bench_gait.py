@@ -27,7 +27,7 @@ import gait_steps
 import gait_twin
 import swing_twin
 import tyro
-from bench_table import Row, show
+from bench_table import Row, figure, show
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
@@ -85,9 +85,12 @@ def main(arguments: list[str] | None = None) -> int:
                 for part in parts:
                     progress.update(task, description=f"{part} {robot}")
                     if part in ROWS:
-                        rows += ROWS[part](gaits, options.seed)
+                        made = ROWS[part](gaits, options.seed)
                     else:
-                        rows += gaits.twin(options.seed) if part == "twin" else getattr(gaits, part)()
+                        made = gaits.twin(options.seed) if part == "twin" else getattr(gaits, part)()
+                    for one in made:  # a part may take half an hour: told as they come
+                        progress.console.print(f"{one['name']}: {figure(one['ours'])} {one['unit']}", highlight=False, soft_wrap=True)
+                        rows.append(one)
                     progress.advance(task)
                 if options.out is not None:
                     import gait_pictures

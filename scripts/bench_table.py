@@ -82,13 +82,14 @@ def show(rows: Sequence[Row], *, as_json: bool) -> None:
 
     table = Table("what", "ours", "peer", "ratio", "target", "met")
     for r in rows:
-        peer = _figure(r["peer"])
+        peer = figure(r["peer"])
         named = peer if r["peer_name"] is None else f"{peer} ({r['peer_name']})"
         what = f"{r['name']} [{r['unit']}]".replace("[", "\\[")
-        table.add_row(what, _figure(r["ours"]), named, _figure(r["ratio"]), r["target"] or "-", VERDICT[r["met"]])
+        table.add_row(what, figure(r["ours"]), named, figure(r["ratio"]), r["target"] or "-", VERDICT[r["met"]])
     console = Console() if sys.stdout.isatty() else Console(width=150)
     console.print(table)
 
 
-def _figure(value: float | None) -> str:
+def figure(value: float | None) -> str:
+    """A figure for people, three digits long; a dash where there is none."""
     return "-" if value is None else f"{value:.3g}"

@@ -44,32 +44,30 @@ class Walk:
     walked: WalkedCycle
 
 
-def slope_rows(gaits: Gaits, seed: int) -> list[Row]:
+def slope_rows(gaits: Gaits, seed: int) -> Iterator[Row]:
     """A cycle on the paper's slopes, on their soil, and on the steepest planned ones, on concrete, by attitude of the deck."""
-    out: list[Row] = []
     search = SlopeSearch(spare=SPARE, clearance=CLEARANCE)
     for deck in DECKS:
         for degrees in SLOPES_DEG:
             for share in SHARES:
                 rows = _slope(gaits, seed, degrees, deck, SAND, share * gaits.stride)
-                out += rows
+                yield from rows
                 if rows[0]["met"]:
                     break
         best = steepest_stance(gaits.spec, stride=gaits.stride, deck=deck, search=search, lift=LIFT[gaits.spec.name])
         if isinstance(best, NoSlopeStance):
-            out.append(row(f"{gaits.spec.name}: twin, steepest slope, deck {deck}: no, {best.reason}", None, "deg"))
+            yield row(f"{gaits.spec.name}: twin, steepest slope, deck {deck}: no, {best.reason}", None, "deg")
             continue
         planned = float(np.floor(np.rad2deg(best.angle)))
         tried = min(planned, float(np.floor(GENTLER * np.rad2deg(np.arctan(FRICTION)))))
         for _ in range(TRIES):
             rows = _slope(gaits, seed, tried, deck, HARD, gaits.stride, best)
-            out += rows
+            yield from rows
             if rows[0]["met"]:
                 break
             tried = float(np.floor(GENTLER * tried))
         name = f"{gaits.spec.name}: twin, steepest slope walked, deck {deck}, stride {gaits.stride:g} m, concrete"
-        out.append(row(name, tried if rows[0]["met"] else None, "deg", peer_name="planned", peer=planned))
-    return out
+        yield row(name, tried if rows[0]["met"] else None, "deg", peer_name="planned", peer=planned)
 
 
 def walk_slope(
@@ -119,9 +117,8 @@ def _slope(
     ]
 
 
-def stride_rows(gaits: Gaits, seed: int) -> list[Row]:
+def stride_rows(gaits: Gaits, seed: int) -> Iterator[Row]:
     """The longest planned stride, or the longest of a few shorter ones that the twin finishes, one leg at a time and in pairs."""
-    out: list[Row] = []
     for groups, how in ((None, "one leg at a time"), (PAIRS, "opposite legs together")):
         planned = longest_stride(gaits.spec, AHEAD, groups=groups).value
         for stride in _shorter(planned):
@@ -137,10 +134,10 @@ def stride_rows(gaits: Gaits, seed: int) -> list[Row]:
             done = row(f"{what}, advance{ended}{struck}", walked.advance, "m", peer_name="planned", peer=stride, target="> 0")
             done["met"] = not walked.ended_by and not walked.struck and walked.peak <= 1.0
             peak = 100.0 * judge_cycle(cycle).peak
-            out += [done, row(f"{what}, peak torque", 100.0 * walked.peak, "%", peer_name="planned", peer=peak)]
+            yield done
+            yield row(f"{what}, peak torque", 100.0 * walked.peak, "%", peer_name="planned", peer=peak)
             if done["met"]:
                 break
-    return out
 
 
 def _shorter(longest: float) -> Iterator[float]:
