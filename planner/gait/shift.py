@@ -116,6 +116,9 @@ def plan_shift(
     wanted = shift_per_step(kin.spec, gait, remaining=remaining, behind=behind, legs=legs)
     body = BodyCollision(kin.spec, filled, collision)
     wheels_in_world = pose.apply(kin.wheels_in_hex(landed_joints))
+    standing, ok = _stance_at(kin, pose, wheels_in_world)
+    if ok.all():
+        body.come_no_nearer(standing)
     next_leg = None if upcoming is None else upcoming.leg
     offsets = relaxing_offsets(
         kin, belief, landed_joints, leg=leg, next_leg=next_leg,

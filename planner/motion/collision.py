@@ -32,6 +32,8 @@ TERRAIN = "terrain"
 OWN, OTHER_LEG = "own_leg_or_body", "other_leg"
 FOUNDATION = 2.0
 """how far the terrain's solid reaches below its lowest point: a leg deep inside still collides [m]"""
+STILL = 5e-4
+"""by which parts that are too near already may come nearer: distances are computed to a tenth of it [m]"""
 
 
 class LegCollision:
@@ -219,6 +221,18 @@ class BodyCollision:
         parts = self._parts
         self._reach2 = (parts.radii[parts.first] + parts.radii[parts.second] + parts.clearances) ** 2
 
+    def come_no_nearer(self, joints: Joints) -> None:
+        """Parts of the robot that are nearer to each other than their clearance already may stay so, and come no nearer.
+
+        A stance that sagged a millimetre into a clearance would otherwise forbid every move, those out of it as well.
+        """
+        placed = self._placed(joints)
+        for k in self._suspects(placed):
+            request = self._state.collisionRequests[k]
+            if pin.computeCollision(self._geometry, self._state, k):
+                apart = pin.computeDistance(self._geometry, self._state, k).min_distance
+                request.security_margin = max(0.0, min(request.security_margin, apart - STILL))
+
     def is_free(self, joints: Joints, world_from_hex: SE3) -> bool:
         """Whether all parts keep their clearance, wheels against terrain excepted: they are planted."""
         return self.first_collision(joints, world_from_hex) is None
@@ -226,12 +240,8 @@ class BodyCollision:
     def first_collision(self, joints: Joints, world_from_hex: SE3) -> str | None:
         """Names of a pair that is too close; None where all is free."""
         self._geometry.geometryObjects[self._field].placement = self._ground.placement_in_hex(world_from_hex)
-        q = self._parts.configuration(joints)
-        pin.updateGeometryPlacements(self._parts.model, self._scratch, self._geometry, self._state, q)
-        placed = self._state.oMg
-        centres_in_hex = np.array([placed[i].translation for i in range(len(self._parts.leg))])
-        gaps = np.square(centres_in_hex[self._parts.first] - centres_in_hex[self._parts.second]).sum(axis=1)
-        for k in np.flatnonzero(gaps < self._reach2).tolist():
+        centres_in_hex = self._placed(joints)
+        for k in self._suspects(centres_in_hex):
             if pin.computeCollision(self._geometry, self._state, k):
                 return _named(self._geometry, k)
         centres = world_from_hex.apply(centres_in_hex[self._grounded])
@@ -239,6 +249,17 @@ class BodyCollision:
             if close and pin.computeCollision(self._geometry, self._state, k):
                 return _named(self._geometry, k)
         return None
+
+    def _placed(self, joints: Joints) -> np.ndarray:
+        """Puts the parts where the joints have them; their centres in hex, shape (n, 3) [m]."""
+        q = self._parts.configuration(joints)
+        pin.updateGeometryPlacements(self._parts.model, self._scratch, self._geometry, self._state, q)
+        return np.array([self._state.oMg[i].translation for i in range(len(self._parts.leg))])
+
+    def _suspects(self, centres_in_hex: np.ndarray) -> list[int]:
+        """Pairs of parts whose bounding spheres come near enough for an exact look."""
+        gaps = np.square(centres_in_hex[self._parts.first] - centres_in_hex[self._parts.second]).sum(axis=1)
+        return [int(k) for k in np.flatnonzero(gaps < self._reach2)]
 
 
 def terrain_shape(heights: HeightGrid) -> Any:

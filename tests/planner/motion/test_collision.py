@@ -290,6 +290,34 @@ def test_the_body_comes_down_on_a_rock_that_only_the_generators_reach(robot):
         assert BodyCollision(spec, rock, loaded).first_collision(bent, pose) == expected
 
 
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_parts_that_are_too_near_already_may_stay_or_part_and_come_no_nearer(robot):
+    """Leg 2 folds at its knee (T12: thigh) until two of its links are inside their clearance, and not yet in touch."""
+    spec, deep = load_spec(robot), ground(lambda x, y: 0 * x - 9.0)
+    pose, bare = standing(robot), CollisionConfig(part_clearance=0.0, deviations=0.0)
+
+    def folded(by: float) -> np.ndarray:
+        joints = regular_stance(spec)
+        joints[1, 2] += by
+        return joints
+
+    def folds_until(config: CollisionConfig) -> float:
+        body = BodyCollision(spec, deep, config)
+        return next(by for by in np.arange(0.0, 2.0, 0.002) if not body.is_free(folded(by), pose))
+
+    near, touch = folds_until(CollisionConfig()), folds_until(bare)
+    assert touch > near + 0.01
+    body, inside = BodyCollision(spec, deep, CollisionConfig()), 0.5 * (near + touch)
+    pair = body.first_collision(folded(inside), pose)
+    assert pair is not None and "leg2" in pair
+    body.come_no_nearer(folded(inside))
+    assert [body.first_collision(folded(by), pose) for by in (inside, near, 0.0)] == [None, None, None]
+    assert body.first_collision(folded(inside + 0.3 * (touch - near)), pose) == pair
+    body = BodyCollision(spec, deep, CollisionConfig())
+    body.come_no_nearer(folded(touch + 0.02))  # in touch: nothing is excused
+    assert body.first_collision(folded(touch + 0.02), pose) is not None
+
+
 def test_wrong_use_is_refused():
     spec, joints = load_spec("sdm_b"), regular_stance(load_spec("sdm_b"))
     unknown = ground()
