@@ -251,7 +251,7 @@ def test_a_fault_after_the_last_command_is_no_legs_and_both_steps_count(pairs):
 @pytest.mark.ci
 def test_a_second_leg_that_finds_no_ground_goes_down_alone_and_the_first_counts_once(pairs, monkeypatch):
     first, second = (part.leg for part in pairs._sent.plan.parts)
-    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.lift(leg))
+    monkeypatch.setattr("planner.agent.stands", lambda *_: False)
     breaks_off(pairs, "no_contact", 5)
     assert pairs.stepped[first] == 1 and pairs.stepped[second] == 0
     assert np.flatnonzero(~pairs.belief.planted).tolist() == [second]
@@ -268,7 +268,7 @@ def test_a_second_leg_that_finds_no_ground_goes_down_alone_and_the_first_counts_
 @pytest.mark.slow
 def test_a_first_leg_that_finds_no_ground_is_lowered_while_the_other_hangs(pairs, monkeypatch):
     first, _ = (part.leg for part in pairs._sent.plan.parts)
-    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.lift(leg))
+    monkeypatch.setattr("planner.agent.stands", lambda *_: False)
     breaks_off(pairs, "no_contact", 4)
     assert not pairs.stepped
     lower = proposal(pairs, 60.0)
@@ -279,7 +279,7 @@ def test_a_first_leg_that_finds_no_ground_is_lowered_while_the_other_hangs(pairs
 @pytest.mark.slow
 def test_a_leg_that_stands_after_its_fault_is_not_pressed_down_while_the_other_hangs(pairs, monkeypatch):
     _, second = (part.leg for part in pairs._sent.plan.parts)
-    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.land(leg))
+    monkeypatch.setattr("planner.agent.stands", lambda *_: True)
     breaks_off(pairs, "no_contact", 4)
     assert np.flatnonzero(~pairs.belief.planted).tolist() == [second]
     following = pairs.next(60.0)
