@@ -273,7 +273,7 @@ def test_a_first_leg_that_finds_no_ground_is_lowered_while_the_other_hangs(pairs
     assert not pairs.stepped
     lower = proposal(pairs, 60.0)
     assert lower.leg == first and not lower.together
-    assert [part.leg for part in pairs._plan.parts] == [first]
+    assert [part.leg for part in pairs._offer.plan.parts] == [first]
 
 
 @pytest.mark.slow
