@@ -12,7 +12,8 @@ import numpy as np
 from jaxtyping import Float
 
 from athlete_twin.geometry.arrays import LegJoints, Points2, Vec2
-from athlete_twin.messages import Fault
+from athlete_twin.messages import Fault, Telemetry
+from athlete_twin.model.kinematics import GRAVITY, Kinematics
 from planner.gait.step_plan import StepPlan
 
 RETRY_LIFT = 0.10
@@ -23,6 +24,8 @@ MAX_ATTEMPTS = 6
 """faults at one and the same step before the ground gives up"""
 LOWERINGS = 2
 """further descents after a wheel found no ground, before it steps elsewhere"""
+STANDING_LOAD = 150.0
+"""after a fault, a wheel whose torques speak of more than this stands [N]"""
 
 
 @dataclass(kw_only=True)
@@ -93,3 +96,11 @@ def way_back(waypoints: Float[np.ndarray, "k dof"], leg_motors: LegJoints) -> Fl
     nearest = a + np.clip(along, 0.0, 1.0)[:, None] * span
     passed = int(np.argmin(np.linalg.norm(leg_motors - nearest, axis=1)))
     return waypoints[passed::-1].copy()
+
+
+def stands(kin: Kinematics, leg: int, telemetry: Telemetry) -> bool:
+    """After a fault nobody knows whether the wheel stands: its torques do."""
+    roll, pitch = float(telemetry.attitude_rpy[0]), float(telemetry.attitude_rpy[1])
+    gravity = GRAVITY * np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
+    force = kin.ground_force(leg, telemetry.joints, telemetry.torques[leg], gravity)
+    return float(-force @ gravity / GRAVITY) > STANDING_LOAD

@@ -27,6 +27,18 @@ class BodyShift:
     sway_in_hex: Vec3 = field(default_factory=lambda: np.zeros(3))
     """the part of the translation that displaces the chassis from its straight path, or brings it back [m]"""
 
+    def swayed_so_far(self, before: SE3, now: SE3) -> Vec3:
+        """What it has displaced the chassis from its path by if it broke off, in world [m]: as much as it went of its way.
+
+        Args:
+            before: chassis in world as the shift began.
+            now: where it stopped.
+        """
+        way = before.rotate(self.translation_in_hex)[:2]
+        gone = (now.translation - before.translation)[:2]
+        share = float(np.clip(gone @ way / max(way @ way, 1e-9), 0.0, 1.0)) if way @ way > 1e-4 else 0.0
+        return np.asarray(share * before.rotate(self.sway_in_hex))
+
     @staticmethod
     def none() -> BodyShift:
         """The chassis stays."""
@@ -87,6 +99,11 @@ class StepPlan:
     def parts(self) -> tuple[StepPlan, ...]:
         """The steps of all legs that it moves, in the order of their landing."""
         return (self,) if self.companion is None else (self, self.companion)
+
+    @property
+    def legs(self) -> tuple[int, ...]:
+        """Indices of the legs that it moves, in the order of their landing."""
+        return tuple(part.leg for part in self.parts)
 
     def of_leg(self, leg: int) -> StepPlan:
         """The part that moves a leg, for itself; the first where none does."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from athlete_twin.geometry.arrays import Vec2, Vec3
+from athlete_twin.geometry.arrays import Points2, Vec2, Vec3
 from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, Command, ImageRequest
 from athlete_twin.model.kinematics import Kinematics
@@ -74,6 +74,30 @@ def seeing(spec: RobotSpec, point_in_hex: Vec3, *, most: int) -> tuple[str, ...]
         if depth > 0.0 and max(abs(u), abs(v)) < 0.5:
             found.append((float(np.hypot(u, v)), camera.name))
     return tuple(name for _, name in sorted(found)[:most])
+
+
+def seeing_steps(
+    spec: RobotSpec, belief: Belief, *, places: Points2, legs: list[int], stride_in_world: Vec2, most: int
+) -> tuple[str, ...]:
+    """Cameras in whose pictures legs will step, those of the first leg first.
+
+    Args:
+        spec: the drawings.
+        belief: of the robot.
+        places: of the gait in world, one for each leg of the robot, shape (6, 2) [m].
+        legs: which step, in order.
+        stride_in_world: by which the places move on from one cycle to the next [m].
+        most: cameras.
+    """
+    names: dict[str, None] = {}
+    hex_from_world = belief.world_from_hex.inverse()
+    floor = float(np.mean(belief.contacts_in_world[:, 2]))
+    for leg in legs:
+        for ahead in (0.0, 1.0):
+            point: Vec3 = np.append(places[leg] + ahead * stride_in_world, floor)
+            for name in seeing(spec, hex_from_world.apply(point), most=2):
+                names[name] = None
+    return tuple(names)[:most]
 
 
 def _there_and_back(rotvec: np.ndarray, drop: np.ndarray, look: ImageRequest) -> list[Command]:

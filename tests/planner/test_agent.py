@@ -11,12 +11,12 @@ from athlete_twin.geometry.se3 import SE3
 from athlete_twin.messages import BodyMove, CommandSequence, Fault, ImageRequest, Receipt, Stop
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
-from planner.agent import GroundAgent, _swayed_so_far
+from planner.agent import GroundAgent
 from planner.config import planner_config
 from planner.decisions import Decision, NoStep, Proposal, Uplink, Waiting
-from planner.footfall import score_footfalls
 from planner.gait.step_plan import BodyShift
-from planner.gait.step_search import Ground, search_step
+from planner.gait.step_search import search_step
+from planner.ground import flat_ground
 from planner.underway import SILENCE
 
 APPROVE = Decision(kind="approve")
@@ -123,7 +123,7 @@ def test_pictures_without_ground_beside_the_wheels_are_no_measurement_of_their_d
 def test_every_exposure_of_a_bracket_is_awaited(agent):
     proposal(agent, 1.0)
     look = ImageRequest(cameras=("a", "b"), brackets=(0.5, 1.0, 4.0))
-    agent._send(agent._as_sequence([look], 1.0), None)
+    agent._send(agent._proposer.sequence([look], 1.0), None)
     assert agent._sent.pairs_awaited == 6
 
 
@@ -137,9 +137,7 @@ def test_a_leg_that_hides_the_ground_it_needs_is_lifted_to_look_once_where_it_st
     for message in MockAthlete(spec).advance(1.0):
         agent.observe(message, 1.0)
     agent._surveyed = True
-    grid, sure = agent._plane(agent.belief)
-    footfalls = score_footfalls(grid, sure, wheel_radius=spec.wheel.radius, config=config.footfall)
-    ground = Ground(heights=grid, filled=grid, cautious=grid, footfalls=footfalls)
+    ground = flat_ground(agent.belief, config, wheel_radius=spec.wheel.radius)
     monkeypatch.setattr(agent, "_ground", lambda _: ground)
 
     def search(*args, **settings):
@@ -253,7 +251,7 @@ def test_a_fault_after_the_last_command_is_no_legs_and_both_steps_count(pairs):
 @pytest.mark.ci
 def test_a_second_leg_that_finds_no_ground_goes_down_alone_and_the_first_counts_once(pairs, monkeypatch):
     first, second = (part.leg for part in pairs._sent.plan.parts)
-    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.lift(leg))
+    monkeypatch.setattr("planner.agent.stands", lambda *_: False)
     breaks_off(pairs, "no_contact", 5)
     assert pairs.stepped[first] == 1 and pairs.stepped[second] == 0
     assert np.flatnonzero(~pairs.belief.planted).tolist() == [second]
@@ -270,18 +268,18 @@ def test_a_second_leg_that_finds_no_ground_goes_down_alone_and_the_first_counts_
 @pytest.mark.slow
 def test_a_first_leg_that_finds_no_ground_is_lowered_while_the_other_hangs(pairs, monkeypatch):
     first, _ = (part.leg for part in pairs._sent.plan.parts)
-    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.lift(leg))
+    monkeypatch.setattr("planner.agent.stands", lambda *_: False)
     breaks_off(pairs, "no_contact", 4)
     assert not pairs.stepped
     lower = proposal(pairs, 60.0)
     assert lower.leg == first and not lower.together
-    assert [part.leg for part in pairs._plan.parts] == [first]
+    assert [part.leg for part in pairs._offer.plan.parts] == [first]
 
 
 @pytest.mark.slow
 def test_a_leg_that_stands_after_its_fault_is_not_pressed_down_while_the_other_hangs(pairs, monkeypatch):
     _, second = (part.leg for part in pairs._sent.plan.parts)
-    monkeypatch.setattr(pairs, "_feel", lambda leg, _telemetry: pairs._filter.land(leg))
+    monkeypatch.setattr("planner.agent.stands", lambda *_: True)
     breaks_off(pairs, "no_contact", 4)
     assert np.flatnonzero(~pairs.belief.planted).tolist() == [second]
     following = pairs.next(60.0)
@@ -302,5 +300,5 @@ def test_a_shift_that_breaks_off_has_swayed_as_far_as_it_went(agent):
     shift = replace(BodyShift.none(), translation_in_hex=way, sway_in_hex=sway)
     for share in (0.0, 0.4, 1.0):
         gone = SE3(before.world_from_hex.rotation, before.world_from_hex.translation + share * before.world_from_hex.rotate(way))
-        swayed = _swayed_so_far(shift, before.world_from_hex, replace(before, world_from_hex=gone))
+        swayed = shift.swayed_so_far(before.world_from_hex, gone)
         assert swayed == pytest.approx(share * before.world_from_hex.rotate(sway), abs=1e-9)

@@ -70,7 +70,7 @@ def test_a_raised_leg_without_a_step_comes_down_to_the_ground_and_no_higher(agen
     planted = belief.planted.copy()
     planted[proposal.leg] = False
     raised = replace(belief, motors=motors, joints=motors, planted=planted)
-    down = agent._lower(raised, agent._ground(belief), lift, 3.0).sequence.commands[0]
+    down = agent._lower(lift, raised, agent._ground(belief), 3.0).proposal.sequence.commands[0]
     bottom = belief.world_from_hex.apply(down.wheel_in_hex)[2] - agent.spec.wheel.radius
     assert bottom == pytest.approx(-agent.config.step.touchdown.search_depth, abs=0.03)
 
@@ -87,7 +87,7 @@ def test_the_leg_in_the_air_is_the_one_that_steps_next_and_a_lift_is_no_step(age
     assert agent.steps_taken == 0 and agent.stepped[proposal.leg] == 0
     heading = np.array([1.0, 0.0])
     belief = replace(agent.belief, planted=agent._filter.planted)
-    assert agent._order(belief, heading, np.flatnonzero(~belief.planted)) == [[proposal.leg]]
+    assert agent._turns.order(belief, heading, np.flatnonzero(~belief.planted)) == [[proposal.leg]]
 
 
 def test_a_lift_off_survives_an_edit_and_is_still_known_as_one(agent):

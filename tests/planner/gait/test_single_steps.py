@@ -57,7 +57,7 @@ def agent(robot):
 
 
 def order(agent, belief):
-    return agent._order(belief, AHEAD, np.flatnonzero(~belief.planted))
+    return agent._turns.order(belief, AHEAD, np.flatnonzero(~belief.planted))
 
 
 def moved(robot, **by):
@@ -89,7 +89,7 @@ def test_a_leg_in_the_air_comes_down_first_and_the_operators_leg_goes_before_the
 
 
 def test_the_leg_that_steps_now_is_not_expected_next(robot, agent):
-    upcoming = agent._upcoming(moved(robot, l4=-0.2, l1=-0.1), AHEAD, (4,))
+    upcoming = agent._turns.upcoming(moved(robot, l4=-0.2, l1=-0.1), AHEAD, (4,))
     assert upcoming[0] == 1 and upcoming[-1] == 4 and sorted(upcoming) == list(range(6))
 
 

@@ -132,13 +132,13 @@ def test_the_ground_knows_that_a_placed_wheel_stands(agent):
 @pytest.mark.ci
 def test_a_leg_in_the_air_is_set_down_where_it_is_as_deep_as_the_sag_asks_and_that_is_no_step(agent, robot):
     proposal = agent.next(1.0)
-    plan, leg = agent._plan, proposal.leg
+    plan, leg = agent._offer.plan, proposal.leg
     motors = agent.belief.motors.copy()
     axle = agent.kin.leg_wheel(leg, motors[leg])
     up = agent.belief.world_from_hex.rotation.T[:, 2]
     motors[leg] = _reached(agent, leg, axle.translation + 0.2 * up)
     raised = replace(agent.belief, motors=motors, joints=motors, planted=np.arange(6) != leg)
-    down = agent._lower(raised, agent._ground(agent.belief), plan, 2.0)
+    down = agent._lower(plan, raised, agent._ground(agent.belief), 2.0).proposal
     (move,) = (c for c in down.sequence.commands if isinstance(c, LegMove))
     bottom = raised.world_from_hex.apply(move.wheel_in_hex)[2] - robot.spec.wheel.radius
     assert move.guard == "place" and bottom == pytest.approx(-plan.reload, abs=0.03)

@@ -16,6 +16,7 @@ from planner.config import planner_config
 from planner.decisions import Arrived, Decision, NoStep, Proposal
 from planner.footfall import score_footfalls
 from planner.gait.step_search import Ground
+from planner.ground import plane_under
 from planner.route.drive import DriveConfig, DrivePlan, NoDrive, plan_drive
 from planner.route.search import Route
 
@@ -69,10 +70,10 @@ def planned(agent: GroundAgent, heights, *, length: float = 3.0, **settings) -> 
 
 
 def on(agent: GroundAgent, heights) -> Ground:
-    flat, variance = agent._plane(agent.belief)
+    flat = plane_under(agent.belief, cell=agent.config.fusion.cell)
     x, y = np.meshgrid(*flat.centres(), indexing="ij")
     grid: HeightGrid = replace(flat, heights=flat.heights + heights(x, y))
-    footfalls = score_footfalls(grid, variance, wheel_radius=agent.spec.wheel.radius, config=agent.config.footfall)
+    footfalls = score_footfalls(grid, np.zeros(grid.shape), wheel_radius=agent.spec.wheel.radius, config=agent.config.footfall)
     return Ground(heights=grid, filled=grid, cautious=grid, footfalls=footfalls)
 
 
