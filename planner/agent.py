@@ -360,7 +360,10 @@ class GroundAgent:
         hidden: Counter[int] = Counter()
         looked = len(in_air) > 0
         unmoved: NoAside | None = None
-        for attempt in self._turns.tries(belief, ways[: 1 if forced_xy is not None else None], in_air, ground):
+        tries = self._turns.tries(belief, ways, in_air, ground)
+        if forced_xy is not None:  # the operator's place for one leg, on its way: no other's
+            tries = [one for one in tries if one.leg == self._forced_leg and one.way is ways[0]]
+        for attempt in tries:
             if not attempt.due and not looked:
                 looked = True
                 look = self._look_beneath(belief, ground, ways[0], hidden, t)

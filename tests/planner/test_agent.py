@@ -95,6 +95,17 @@ def test_an_edit_that_does_not_work_comes_back_as_the_gaits_own_step_with_the_re
     assert sequence is not None and sequence.commands
 
 
+def test_a_place_that_only_another_leg_reaches_is_no_footfall_of_that_one(agent):
+    """The operator moved one leg's footfall, and asked for no step of any other."""
+    own = proposal(agent, 1.0)
+    other = (own.leg + 3) % 6
+    place = agent.belief.contacts_in_world[other] + [0.3, 0.0, 0.0]
+    assert agent.decide(Decision(kind="edit_footfall", footfall_in_world=place), 1.0) is None
+    again = proposal(agent, 2.0)
+    assert again.leg == own.leg and "not at" in again.text
+    np.testing.assert_allclose(again.footfall_in_world, own.footfall_in_world)
+
+
 def test_a_sequence_of_which_nothing_is_heard_goes_up_again_as_it_was(agent):
     proposal(agent, 1.0)
     sent = agent.decide(APPROVE, 1.0)
