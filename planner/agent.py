@@ -338,7 +338,8 @@ class GroundAgent:
         failure = None if self._faulty is None else self._attempts.get(self._faulty)
         if self._recovery.retreat is not None and failure is not None:
             return self._proposer.retreat(failure, self._recovery.retreat, belief, ground, t)
-        if failure is not None and failure.leg in in_air and self._recovery.lowers:
+        # Unless the operator has a place elsewhere for it.
+        if failure is not None and failure.leg in in_air and self._recovery.lowers and self._forced_xy is None:
             return self._lower(failure, belief, ground, t)
         with self._timer("route"):
             ways = self.guide.ways(replace(belief, world_from_hex=on_path(belief, self._swayed)), ground)

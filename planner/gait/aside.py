@@ -155,6 +155,7 @@ def plan_aside(
     if not belief.planted.all():
         return NoAside(reason="a leg is in the air", refused=Counter())
     body = BodyCollision(kin.spec, ground.filled, step.collision)
+    body.come_no_nearer(belief.joints)
     wheels = belief.world_from_hex.apply(kin.wheels_in_hex(belief.joints))
     allowed = allowed_torques(kin, belief.world_from_hex, wheels, step.shift, payload_kg)
     refused = Counter[str]()

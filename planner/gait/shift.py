@@ -35,6 +35,8 @@ SHARES = (1.0, 0.75, 0.5, 0.25)
 """of an offset, tried until the leg reaches"""
 LIFT_SPARE = 0.03
 """of the next lift's height: when it comes it is planned from where the chassis then is believed, some millimetres off [m]"""
+LIFT_SPACING = 0.01
+"""between heights up to the lift's at which the leg must reach [m]"""
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -126,14 +128,22 @@ def plan_shift(
     )  # fmt: skip
     rise, turn = _mending(kin, belief, limits, yaw, float(off[2]))
     allowed = allowed_torques(kin, pose, wheels_in_world, limits, payload_kg)
+    least = 0.0 if upcoming is None else _room(kin, pose, wheels_in_world[upcoming.leg], upcoming)
+
+    def without_room(end: SE3) -> str:
+        """What is said of a chassis that leaves the next leg less room to be lifted than it needs, and than it has now."""
+        if upcoming is None or _room(kin, end, wheels_in_world[upcoming.leg], upcoming) >= least:
+            return ""
+        return f"lift of leg {upcoming.leg + 1}"
+
     refused = ""
     for fraction in FRACTIONS:
         for mend in (1.0, 0.0):
             move = np.append(fraction * wanted * heading, mend * rise)
             end = SE3(SE3.from_rotvec(mend * turn).rotation @ pose.rotation, pose.translation - off + move)
-            # A leg that cannot be lifted already is no reason against what only mends the chassis' height and attitude.
-            rises = upcoming if fraction > 0.0 else None
-            refusal = stance_refusal(kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg, rises)
+            refusal = stance_refusal(
+                kin, end, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg
+            ) or without_room(end)  # fmt: skip
             if not refusal:
                 change = np.zeros(3)
                 left = max(0.0, remaining - fraction * wanted)
@@ -146,9 +156,8 @@ def plan_shift(
                     )
                     end = _displaced(
                         end, wish, pose,
-                        lambda at: stance_refusal(
-                            kin, at, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg, upcoming
-                        ),
+                        lambda at: stance_refusal(kin, at, wheels_in_world, contacts_in_world, stability, allowed, body, payload_kg),
+                        without_room,
                     )  # fmt: skip
                     change = end.translation - (pose.translation + move)
                 elif swayed is not None:
@@ -171,12 +180,12 @@ def plan_shift(
     )
 
 
-def _displaced(path: SE3, wish: Vec3, start: SE3, refusal: Callable[[SE3], str]) -> SE3:
+def _displaced(path: SE3, wish: Vec3, start: SE3, refusal: Callable[[SE3], str], at_end: Callable[[SE3], str]) -> SE3:
     """The chassis as far off its path as wished, or as much of that as nothing forbids half-way there and at its end."""
     for share in SHARES:
         end = SE3(path.rotation, path.translation + share * wish)
         half = SE3(path.rotation, 0.5 * (start.translation + end.translation))
-        if not refusal(end) and not refusal(half):
+        if not refusal(end) and not at_end(end) and not refusal(half):
             return end
     return path
 
@@ -201,14 +210,11 @@ def stance_refusal(
     allowed: PerLeg,
     body: BodyCollision,
     payload_kg: float,
-    upcoming: NextLift | None = None,
 ) -> str:
     """What forbids the chassis to stand there; empty when nothing does. `allowed` are torque fractions by lifted leg."""
     joints, ok = _stance_at(kin, end, wheels_in_world)
     if not ok.all():
         return f"reach of leg {int(np.argmin(ok)) + 1}"
-    if upcoming is not None and not _rises(kin, end, wheels_in_world[upcoming.leg], upcoming):
-        return f"lift of leg {upcoming.leg + 1}"
     com = end.apply(kin.com_in_hex(joints, payload_kg))
     if cps_margin(com, contacts_in_world) < stability.min_margin:
         return "CPS margin"
@@ -256,14 +262,16 @@ def _stance_at(kin: Kinematics, world_from_hex: SE3, wheels: Wheels) -> tuple[Jo
     return all_legs_ik(kin.spec, hex_from_world.apply(wheels), last_link_in_hex=hex_from_world.rotate(DOWN))
 
 
-def _rises(kin: Kinematics, world_from_hex: SE3, axle_in_world: Vec3, lift: NextLift) -> bool:
-    """Whether the leg, folded as far as it goes, can raise its wheel: a chassis that has gone on over it leaves it no room."""
+def _room(kin: Kinematics, world_from_hex: SE3, axle_in_world: Vec3, lift: NextLift) -> float:
+    """How high the leg can raise its wheel straight up, folded as far as it goes, and no higher than it will have to [m]."""
     if lift.height <= 0.0:
-        return True
-    heights = np.array([0.5, 1.0]) * (lift.height + LIFT_SPARE)
+        return 0.0
+    most = lift.height + LIFT_SPARE
+    heights = np.linspace(0.0, most, 1 + int(np.ceil(most / LIFT_SPACING)))
     hex_from_world = world_from_hex.inverse()
     axles = hex_from_world.apply(axle_in_world - heights[:, None] * DOWN)
-    return bool(leg_ik(kin.spec, lift.leg, axles, last_link_in_hex=hex_from_world.rotate(DOWN))[1].all())
+    _, ok = leg_ik(kin.spec, lift.leg, axles, last_link_in_hex=hex_from_world.rotate(DOWN))
+    return most if ok.all() else float(heights[max(int(np.argmin(ok)) - 1, 0)])
 
 
 def _worst_torques(kin: Kinematics, world_from_hex: SE3, wheels: Wheels, payload: float) -> PerLeg | None:

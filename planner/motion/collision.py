@@ -224,14 +224,16 @@ class BodyCollision:
     def come_no_nearer(self, joints: Joints) -> None:
         """Parts of the robot that are nearer to each other than their clearance already may stay so, and come no nearer.
 
-        A stance that sagged a millimetre into a clearance would otherwise forbid every move, those out of it as well.
+        A stance that sagged a millimetre into a clearance would otherwise forbid every move, those out of it as well. Half of
+        the clearance stays, however often a stance is asked of.
         """
         placed = self._placed(joints)
         for k in self._suspects(placed):
             request = self._state.collisionRequests[k]
             if pin.computeCollision(self._geometry, self._state, k):
                 apart = pin.computeDistance(self._geometry, self._state, k).min_distance
-                request.security_margin = max(0.0, min(request.security_margin, apart - STILL))
+                whole = self._parts.pairs[k][2]
+                request.security_margin = max(0.5 * whole, min(whole, apart - STILL))
 
     def is_free(self, joints: Joints, world_from_hex: SE3) -> bool:
         """Whether all parts keep their clearance, wheels against terrain excepted: they are planted."""

@@ -97,6 +97,7 @@ def plan_drive(
         return NoDrive(reason="a wheel cannot be steered along the way")
     rolls = drivable(kin.spec, ground.heights, ground.footfalls, route_config)
     body = BodyCollision(kin.spec, ground.filled, step.collision)
+    body.come_no_nearer(belief.joints)
     poses, contacts, margins, uneven, cut = [belief.world_from_hex], belief.contacts_in_world, [np.inf], 0.0, ""
     reached = 0.0
     for distance in np.linspace(0.0, length, 1 + max(1, int(np.ceil(length / config.step))))[1:]:

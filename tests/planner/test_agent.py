@@ -258,6 +258,25 @@ def test_a_fault_after_the_last_command_is_no_legs_and_both_steps_count(pairs):
     assert sorted(leg for leg in range(6) if pairs.stepped[leg]) == sorted(legs)
 
 
+@pytest.mark.parametrize("works", [True, False])
+def test_a_leg_that_would_go_further_down_steps_where_the_operator_says_or_tells_that_it_cannot(agent, monkeypatch, works):
+    """And the place is forgotten with that: no later step of another leg is told of it."""
+    own = proposal(agent, 1.0)
+    sequence = agent.decide(APPROVE, 1.0)
+    monkeypatch.setattr("planner.agent.stands", lambda *_: False)
+    breaks_off(agent, "no_contact", next(i for i, c in enumerate(sequence.commands) if getattr(c, "lands", False)))
+    lower = proposal(agent, 60.0)
+    assert lower.leg == own.leg and "further down" in lower.text
+    place = own.footfall_in_world + ([-0.1, 0.0, 0.0] if works else [5.0, 0.0, 0.0])
+    assert agent.decide(Decision(kind="edit_footfall", footfall_in_world=place), 61.0) is None
+    again = proposal(agent, 62.0)
+    assert again.leg == own.leg and agent._forced_xy is None
+    if works:
+        assert "further down" not in again.text and np.linalg.norm((again.footfall_in_world - place)[:2]) < 0.1
+    else:
+        assert "further down" in again.text and f"not at ({place[0]:.2f}, {place[1]:.2f}) m: " in again.text
+
+
 @pytest.mark.slow
 @pytest.mark.ci
 def test_a_second_leg_that_finds_no_ground_goes_down_alone_and_the_first_counts_once(pairs, monkeypatch):

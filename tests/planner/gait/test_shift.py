@@ -12,6 +12,7 @@ from planner.gait.relax import RelaxConfig
 from planner.gait.shift import LIFT_SPARE, NextLift, plan_shift
 from planner.gait.skeleton import shift_per_step
 from planner.gait.step_plan import BodyShift
+from planner.motion.collision import BodyCollision
 
 AHEAD = np.array([1.0, 0.0])
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -145,26 +146,66 @@ def test_an_offset_beyond_reach_is_shortened_until_the_leg_reaches(robot, field)
     assert any(taken == pytest.approx(share, abs=1e-6) for share in (0.0, 0.25, 0.5, 0.75, 1.0))
 
 
-def test_the_chassis_does_not_go_on_over_a_leg_until_that_cannot_be_lifted(robot, field):
-    """What its wheel can rise half-way between half and three quarters of the shift is asked of it.
+LONG = 0.4
+"""of a shift that takes a leg its room [m]"""
 
-    SDM-B's has least room under its hip, T12's, whose hips are 2 m higher, far from it.
+
+def over_a_foot(robot, by: float):
+    """A leg, the way to its foot, and the belief with the chassis farther on that way [m], the feet as they are.
+
+    Above SDM-B's feet a leg cannot fold enough; T12's, whose hips are 2 m higher, cannot reach all the way through the heights there.
     """
-    leg, start = 0, robot.belief.world_from_hex
-    way = AHEAD if robot.spec.name == "sdm_b" else -AHEAD
-    low = robot.kin.wheels_in_hex(robot.belief.motors) + [0.0, 0.0, 0.03]
-    motors, ok = all_legs_ik(robot.spec, low)
+    leg, way = (0, AHEAD) if robot.spec.name == "sdm_b" else (1, np.array([0.0, 1.0]))
+    belief, start = robot.belief, robot.belief.world_from_hex
+    pose = SE3(start.rotation, start.translation + np.append(by * way, 0.0))
+    joints, ok = all_legs_ik(robot.spec, pose.inverse().apply(start.apply(robot.kin.wheels_in_hex(belief.joints))))
     assert ok.all()
-    belief = replace(robot.belief, motors=motors)  # 3 cm too low: also to be mended
-    settings = {"belief": belief, "next_leg": leg, "heading": 4.0 * way}
-    whole = end_of(robot, shift(robot, field(), **settings), belief).translation - start.translation
-    room = [_room_above(robot, leg, SE3(start.rotation, start.translation + share * whole)) for share in (0.0, 0.625, 1.0)]
-    assert room[0] > room[1] > room[2] > LIFT_SPARE
-    made = shift(robot, field(), **settings, next_height=room[1] - LIFT_SPARE)
+    return leg, way, replace(belief, world_from_hex=pose, joints=joints, motors=joints)
+
+
+def long_shift(robot, grid, belief, leg: int, way, **what) -> BodyShift:
+    """A shift of `LONG`, whatever it asks of the joints."""
+    limits = replace(robot.config.step.shift, max_torque_fraction=9.0)
+    return shift(robot, grid, belief=belief, next_leg=leg, heading=6.0 * LONG / robot.spec.stride * way, limits=limits, **what)
+
+
+def test_the_chassis_does_not_go_on_over_a_leg_until_that_cannot_be_lifted(robot, field):
+    """What its wheel can rise half-way between half and three quarters of the shift is asked of it."""
+    leg, way, start = over_a_foot(robot, 0.0)
+    room = [_room_above(robot, leg, over_a_foot(robot, share * LONG)[2].world_from_hex) for share in (0.0, 0.625, 1.0)]
+    assert room[0] > room[1] > room[2] > LIFT_SPARE and long_shift(robot, field(), start, leg, way).fraction == 1.0
+    made = long_shift(robot, field(), start, leg, way, next_height=room[1] - LIFT_SPARE)
     assert (made.fraction, made.cut_by) == (0.5, f"lift of leg {leg + 1}")
-    stuck = shift(robot, field(), **settings, next_height=room[0] + 0.1)
+    stuck = long_shift(robot, field(), start, leg, way, next_height=room[0] + 0.1)
     assert (stuck.fraction, stuck.cut_by) == (0.0, f"lift of leg {leg + 1}")
-    assert stuck.translation_in_hex == pytest.approx([0.0, 0.0, 0.03], abs=MILLIMETRE)
+
+
+def test_a_leg_that_cannot_be_lifted_yet_does_not_hold_the_chassis_where_going_on_frees_it(robot, field):
+    leg, way, late = over_a_foot(robot, LONG)
+    made = long_shift(robot, field(), late, leg, -way, next_height=_room_above(robot, leg, robot.belief.world_from_hex) + 0.2)
+    assert (made.fraction, made.cut_by) == (1.0, "")
+
+
+@pytest.mark.parametrize("robot", ["t12"], indirect=True)
+def test_a_leg_folded_into_its_own_clearance_forbids_no_move_out_of_it(robot, field):
+    """T12's foot 1 drawn in until two of its links are too near to each other; one way the next move parts them, one it does not."""
+    body, wheels = BodyCollision(robot.spec, field(), robot.config.step.collision), robot.kin.wheels_in_hex(robot.belief.joints)
+    inward = (robot.spec.hips_in_hex[0] - wheels[0]) * [1.0, 1.0, 0.0]
+    inward /= np.linalg.norm(inward)
+
+    def drawn_in(by: float) -> np.ndarray:
+        joints, ok = all_legs_ik(robot.spec, wheels + by * inward * (np.arange(6) == 0)[:, None])
+        assert ok.all()
+        return joints
+
+    by = next(by for by in np.arange(0.0, 1.2, 0.005) if body.first_collision(drawn_in(by), robot.belief.world_from_hex))
+    joints, contacts = drawn_in(by), robot.belief.contacts_in_world.copy()
+    contacts[0] += by * inward
+    pair = body.first_collision(joints, robot.belief.world_from_hex)
+    assert pair == "leg1_hip_pitch against leg1_knee_pitch"
+    belief = replace(robot.belief, motors=joints, joints=joints, contacts_in_world=contacts)
+    out, further = (shift(robot, field(), belief=belief, leg=1, heading=side * inward[:2]) for side in (1.0, -1.0))
+    assert (out.fraction, out.cut_by) == (1.0, "") and further.fraction < 1.0
 
 
 def _room_above(robot, leg: int, pose: SE3) -> float:

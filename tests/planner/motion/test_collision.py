@@ -307,15 +307,16 @@ def test_parts_that_are_too_near_already_may_stay_or_part_and_come_no_nearer(rob
 
     near, touch = folds_until(CollisionConfig()), folds_until(bare)
     assert touch > near + 0.01
-    body, inside = BodyCollision(spec, deep, CollisionConfig()), 0.5 * (near + touch)
+    body, inside = BodyCollision(spec, deep, CollisionConfig()), near + 0.25 * (touch - near)
     pair = body.first_collision(folded(inside), pose)
     assert pair is not None and "leg2" in pair
     body.come_no_nearer(folded(inside))
     assert [body.first_collision(folded(by), pose) for by in (inside, near, 0.0)] == [None, None, None]
-    assert body.first_collision(folded(inside + 0.3 * (touch - near)), pose) == pair
-    body = BodyCollision(spec, deep, CollisionConfig())
-    body.come_no_nearer(folded(touch + 0.02))  # in touch: nothing is excused
-    assert body.first_collision(folded(touch + 0.02), pose) is not None
+    assert body.first_collision(folded(inside + 0.15 * (touch - near)), pose) == pair
+    for by in np.linspace(near, touch, 200):  # ever nearer, asked each time: half of the clearance stays
+        body.come_no_nearer(folded(by))
+    assert body.first_collision(folded(near + 0.4 * (touch - near)), pose) is None
+    assert body.first_collision(folded(near + 0.6 * (touch - near)), pose) == pair
 
 
 def test_wrong_use_is_refused():
