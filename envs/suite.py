@@ -37,6 +37,7 @@ from athlete_twin.world.scenario import Scenario, load_scenario
 
 FORMAT = 1
 """of what is hashed"""
+GOLDEN = 0.5 * (5.0**0.5 - 1.0)
 OPERATOR = "approve_all"
 """who decides in every case: whoever is compared to a planner must not be another operator"""
 MOST_SEEDS = 100_000
@@ -108,16 +109,28 @@ class Suite:
         for robot in robots:
             if robot not in known:
                 raise ConfigError(f"suite {self.name} has no cases for robot {robot!r}{did_you_mean(robot, known)}")
-        chosen = [c for c in self.cases if not robots or c.robot in robots]
-        size, seen, place = Counter(map(_kind, chosen)), Counter[tuple[str, str, float]](), {}
-        for case in chosen:
-            place[case.id] = (seen[_kind(case)] + 0.5) / size[_kind(case)]
-            seen[_kind(case)] += 1
-        return tuple(sorted(chosen, key=lambda case: place[case.id]))
+        return _spread([c for c in self.cases if not robots or c.robot in robots])
 
 
-def _kind(case: Case) -> tuple[str, str, float]:
-    return case.robot, case.scenario, case.delay
+def _spread(cases: Sequence[Case]) -> tuple[Case, ...]:
+    """The cases in an order in which the first so many of them have their share of every robot, scenario and delay.
+
+    A field is walked at all its delays before the next. Fields of a kind lie at even distances on a line, the first of each kind
+    at a place of its own (systematic sampling; multiples of the golden ratio, lest kinds with few fields come all at once).
+    """
+    delays: dict[tuple[str, str, int], tuple[float, ...]] = {}
+    for c in cases:
+        delays[c.robot, c.scenario, c.seed] = (*delays.get((c.robot, c.scenario, c.seed), ()), c.delay)
+    kinds: dict[tuple[str, str, tuple[float, ...]], list[int]] = {}
+    for (robot, scenario, seed), swept in delays.items():
+        kinds.setdefault((robot, scenario, swept), []).append(seed)
+    place, among = {}, Counter[tuple[str, tuple[float, ...]]]()
+    for (robot, scenario, swept), seeds in kinds.items():
+        start = (0.5 + GOLDEN * among[robot, swept]) % 1.0
+        among[robot, swept] += 1
+        for rank, seed in enumerate(seeds):
+            place[robot, scenario, seed] = (rank + start) / len(seeds)
+    return tuple(sorted(cases, key=lambda c: place[c.robot, c.scenario, c.seed]))
 
 
 def load_suite(name_or_path: str) -> Suite:

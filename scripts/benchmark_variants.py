@@ -110,16 +110,17 @@ def _compare(options: Options) -> None:
     check_hours(options.hours)
     asked = asked_for(suite, cases, options.variants, body=options.body)
     if options.dry_run:
-        _show_plan(suite, asked, workers=options.workers)
+        _show_plan(suite, asked, workers=options.workers, hours=options.hours)
         return
     # Where none is filmed, no recording need stay till the end.
     unwanted = (RECORDING,) if options.keep == "none" and not options.films else ()
+    seconds = math.inf if options.hours is None else 3600.0 * options.hours
     if not unwanted:
-        check_room(asked, options.out)
-    with Bar(Console(stderr=True)) as bar:
+        check_room(asked if options.hours is None else _fitting(asked, seconds, options.workers), options.out)
+    with Bar(Console(stderr=True), seconds=seconds) as bar:
         rows = run_all(
             asked, options.out, crew=_crew(options), onlooker=bar, retry_errors=options.retry_errors, unwanted=unwanted,
-            seconds=math.inf if options.hours is None else 3600.0 * options.hours,
+            seconds=seconds,
         )  # fmt: skip
     _after(options, rows, wanted=len(asked))
 
@@ -231,7 +232,14 @@ def _crew(options: Options) -> Any:
     return LocalCrew(options.workers or local_cores()) if options.ray is None else RayCrew(options.ray, options.workers)
 
 
-def _show_plan(suite: Any, asked: Sequence[Any], *, workers: int | None) -> None:
+def _fitting(asked: Sequence[Any], seconds: float, workers: int | None) -> Sequence[Any]:
+    from run_progress import fitting
+    from trial_crews import local_cores
+
+    return asked[: fitting(asked, seconds, workers=workers or local_cores())]
+
+
+def _show_plan(suite: Any, asked: Sequence[Any], *, workers: int | None, hours: float | None) -> None:
     from run_progress import TimeLeft, duration, megabytes
     from trial_crews import local_cores
 
@@ -242,6 +250,9 @@ def _show_plan(suite: Any, asked: Sequence[Any], *, workers: int | None) -> None
     lines = [f"suite {suite.name}, sha256 {suite.sha256}", *([suite.description] if suite.description else []), *cases]
     lines.append(f"{len(cases)} cases x {len(variants)} variants ({', '.join(variants)}) = {len(asked)} trials")
     lines.append(f"roughly {duration(left)} with {n} workers; {sum(map(megabytes, asked)) / 1000:.1f} GB of recordings with --keep all")
+    if hours is not None:
+        fit = _fitting(asked, 3600.0 * hours, workers)
+        lines.append(f"in {hours:g} h roughly the first {len(fit)} of them, {sum(map(megabytes, fit)) / 1000:.1f} GB")
     sys.stdout.write("\n".join(lines) + "\n")
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from statistics import mean
@@ -53,6 +54,16 @@ class TimeLeft:
         return max(max(rest, default=0.0), sum(rest) / self.workers)
 
 
+def fitting(asked: Sequence[Asked], seconds: float, *, workers: int) -> int:
+    """How many of the trials, in their order and whole cases only, are begun in so much time, by the guess."""
+    spent = 0.0
+    for i, one in enumerate(asked):
+        if spent >= workers * seconds and one.case.id != asked[i - 1].case.id:
+            return i
+        spent += guess(one)
+    return len(asked)
+
+
 def guess(asked: Asked) -> float:
     """How long a trial takes before any was measured, roughly [s]."""
     if asked.body == "mock":
@@ -68,8 +79,9 @@ def megabytes(asked: Asked) -> float:
 class Bar:
     """Trials done, trials that could not be run and time left: a bar on a terminal; elsewhere a plain line, a minute or more apart."""
 
-    def __init__(self, console: Console, *, clock: Callable[[], float] = time.monotonic) -> None:
-        self._clock = clock
+    def __init__(self, console: Console, *, seconds: float = math.inf, clock: Callable[[], float] = time.monotonic) -> None:
+        """On a console; after so many seconds no other case is begun."""
+        self._clock, self._until = clock, clock() + seconds
         self._shown = Progress(
             TextColumn("trials"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[errors]} errors"), TimeElapsedColumn(),
             TextColumn("{task.fields[left]}"), console=console, disable=not console.is_terminal, transient=True,
@@ -122,7 +134,10 @@ class Bar:
     def _left(self) -> str:
         now = self._clock()
         left = self.time_left.left(self._todo.values(), [(asked, now - since) for asked, since in self._since.values()])
-        return f"about {duration(left)} left"
+        given = self._until - now
+        if left <= max(given, 0.0):
+            return f"about {duration(left)} left"
+        return f"{duration(given)} left to begin cases in" if given > 0.0 else "time is up, cases that were begun are ended"
 
     def _counted(self, asked: Asked, row: dict[str, Any]) -> None:
         self._errors += row["outcome"] == "error"

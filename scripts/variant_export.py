@@ -54,8 +54,10 @@ def flattened(rows: Sequence[Row]) -> tuple[list[Row], list[str]]:
     return [{c: row.get(c) for c in columns} for row in flat], columns
 
 
-def markdown(rows: list[Row], places: Sequence[Place], variants: Sequence[str], compared: Sequence[Comparison]) -> str:
-    """Rates of success and their differences, a row for each robot, delay and variant."""
+def markdown(
+    rows: list[Row], places: Sequence[Place], variants: Sequence[str], compared: Sequence[Comparison], part: str = ""
+) -> str:
+    """Rates of success and their differences, a row for each robot, delay and variant; `part` says what is missing."""
     lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     for place in places:
         tested = {c.variant: c for c in compared if c.place == place and c.metric is SUCCESS}
@@ -65,6 +67,7 @@ def markdown(rows: list[Row], places: Sequence[Place], variants: Sequence[str], 
                 cells = _cells(place, found.variant, found.rate, mine, tested.get(found.variant))
                 lines.append("| " + " | ".join(cells) + " |")
     notes = f"Baseline: {cell(variants[0])}. Medians and totals say of how many trials they are; \\* of those that succeeded."
+    notes += f" {part}" if part else ""
     return "\n".join([*lines, "", notes]) + "\n"
 
 

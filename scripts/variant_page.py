@@ -13,7 +13,7 @@ from variant_details import compared_table, films_section, provenance_footer, re
 from variant_export import counted, median_cell, p_value, share, title_of, total_cell
 from variant_figures import Look, delay_figure, looks_of, outcome_figure, success_figure, time_figure
 from variant_metrics import BY_NAME, Row, succeeded
-from variant_rows import ERROR, RECOMMENDED, not_run
+from variant_rows import ERROR, RECOMMENDED, lacking
 from variant_spreads import difference_figure, spread_figure, stage_figure
 from variant_statistics import FEWEST_PAIRS
 from variant_tables import Comparison, Place, effects_by_ground, fewest_pairs, successes
@@ -116,9 +116,7 @@ def _header(study: Study) -> str:
     mock = any((r["provenance"] or {}).get("body") == "mock" for r in rows)
     hollow = " <b>Walked by the mock, without physics on flat ground: these figures say nothing of the robots.</b>" if mock else ""
     lost = f" {broken} of them could not be run and count as not reached." if broken else ""
-    lacking = not_run(study.folder, rows)
-    have = "has" if lacking == 1 else "have"
-    part = f" <b>A part only: {counted(lacking, 'case')} of those asked for {have} not been run.</b>" if lacking else ""
+    part = f" <b>{words}</b>" if (words := lacking(study.folder, rows)) else ""
     trials, cases = counted(len(rows), "trial"), counted(len({r["case"] for r in rows}), "case")
     keys = "".join(f'<span><i style="background:{look.colour}"></i>{html.escape(v)}</span>' for v, look in study.looks.items())
     return (
@@ -134,7 +132,7 @@ def _answers(study: Study) -> str:
     base, partners = html.escape(study.variants[0]), dict.fromkeys(study.partners.values())
     against = ""
     if study.partners:
-        chosen = "as asked for" if study.baseline is not None else "the first variant of results.jsonl"
+        chosen = "as asked for" if study.baseline is not None else "the variant that this folder was first asked for"
         against = f"The baseline is <b>{base}</b>, {chosen}: variants are held against it, a difference is their figure less {base}'s. "
     for partner in (html.escape(p) for p in partners if p != study.variants[0]):
         against += f"Those that differ from {partner} in one stage are held against {partner}. "

@@ -2,7 +2,7 @@
 
     python scripts/variant_report.py out/comparison [--metrics success progress_m] [--baseline drats_2010]
 
-Reads `results.jsonl` of the folder, with what it was asked for (`variants.txt`, `cases.txt`), and looks which trials have a report and
+Reads `results.jsonl` of the folder, with what it was asked for (`variants.txt`, `asked.txt`), and looks which trials have a report and
 a film. Writes `report.html`, `results.csv`, `results.md` and, where pyarrow is installed, `results.parquet`. Exit status 0 when they were
 written, 2 and one line when the folder's rows do not compare or a name is unknown.
 """
@@ -20,7 +20,7 @@ from report_style import page
 from variant_export import markdown, write_csv, write_parquet
 from variant_metrics import metrics_named
 from variant_page import Study, body
-from variant_rows import partners_of, picked_trials, read_rows, variants_of
+from variant_rows import lacking, partners_of, picked_trials, read_rows, variants_of
 from variant_tables import comparisons, places_of
 
 from athlete_twin.errors import AthleteError, RecordingError
@@ -39,7 +39,7 @@ class Options:
     metrics: tuple[str, ...] | None = None
     """figures to compare and to correct for, such as success or sag_error_m.mean; all of them unless given"""
     baseline: str | None = None
-    """variant that all others are held against; unless given the first of results.jsonl, or what a variant differs from in one stage"""
+    """variant that others are held against; unless given the first that was asked for, or what a variant differs from in one stage"""
 
 
 def write_report(folder: Path, *, metrics: Sequence[str] | None = None, baseline: str | None = None) -> Path:
@@ -68,7 +68,7 @@ def write_report(folder: Path, *, metrics: Sequence[str] | None = None, baseline
     try:
         write_csv(folder / "results.csv", rows)
         write_parquet(folder / "results.parquet", rows)
-        (folder / "results.md").write_text(markdown(rows, places, variants, compared), encoding="utf-8")
+        (folder / "results.md").write_text(markdown(rows, places, variants, compared, lacking(folder, rows)), encoding="utf-8")
         path.write_text(page("Planner variants compared", body(study)), encoding="utf-8")
     except OSError as e:
         raise RecordingError(f"{folder} cannot be written: {e.strerror}; name a folder you may write to") from e

@@ -15,8 +15,8 @@ from variant_metrics import METRICS, Row, succeeded
 
 from athlete_twin.errors import ConfigError, RecordingError
 
-FILE, VARIANTS, CASES = "results.jsonl", "variants.txt", "cases.txt"
-"""rows, and what was asked for: variants in their order, cases"""
+FILE, VARIANTS, ASKED_FOR = "results.jsonl", "variants.txt", "asked.txt"
+"""rows, and what was asked for: variants in their order, trials by case and variant"""
 ERROR = "error"
 """outcome of a trial that could not be run"""
 RECOMMENDED = "integrated"
@@ -30,9 +30,11 @@ STAGES = (
 REQUIRED = (*IDENTIFYING, "gait_cycles", *PARTS, *dict.fromkeys(m.name.split(".")[0] for m in METRICS if m.name != "success"))
 
 
-def not_run(folder: Path, rows: Sequence[Row]) -> int:
-    """How many cases the folder was asked for (`cases.txt`) of which it has no row; 0 where that was not noted."""
-    return len(set(_noted(folder / CASES)) - {row["case"] for row in rows})
+def lacking(folder: Path, rows: Sequence[Row]) -> str:
+    """Says how many of the trials that the folder was asked for have no row; empty where all have, or where nobody noted what was asked."""
+    asked = set(_noted(folder / ASKED_FOR))
+    missing = len(asked - {f"{row['case']} {row['variant']}" for row in rows})
+    return f"A part only: {missing} of the {len(asked)} trials asked for have not been run." if missing else ""
 
 
 def _noted(path: Path) -> list[str]:

@@ -37,7 +37,7 @@ from envs.suite_trial import (
 from envs.trial import usable_folder
 
 Row = dict[str, Any]
-RESULTS, TRIALS, LOCK, VARIANTS, CASES = "results.jsonl", "trials", ".lock", "variants.txt", "cases.txt"
+RESULTS, TRIALS, LOCK, VARIANTS, ASKED_FOR = "results.jsonl", "trials", ".lock", "variants.txt", "asked.txt"
 PATIENCE = 5.0
 """for which a lock is awaited: the trials of a runner that was killed end a moment after it [s]"""
 
@@ -113,7 +113,7 @@ def run_all(
         onlooker: is told how far it is.
         retry_errors: also run again what could not be run before.
         unwanted: names of files in a trial's folder that are deleted once its row is written.
-        seconds: after which no other case is begun; one that was begun is walked by every variant, so that there are pairs alone.
+        seconds: after which no case is begun but the first; one that was begun is walked by every variant, so that there are pairs alone.
         clock: tells the time [s].
     """
     until = clock() + seconds
@@ -122,13 +122,13 @@ def run_all(
             results.unwanted = unwanted
             results.check(asked)
             results.note_variants(asked)
-            results.note_cases(asked)
-            if retry_errors:
-                results.forget_errors(asked)
+            results.note_asked(asked)
             for one in asked:
                 results.adopt(one)
-            todo = deque(one for one in asked if one.key not in results.rows)
-            onlooker.begins(asked, [results.rows[a.key] for a in asked if a.key in results.rows], workers=crew.size)
+            # A row of an error stays until its trial has another: what is not run again is still what could not be run.
+            done = {key for key, row in results.rows.items() if not (retry_errors and row["outcome"] == "error")}
+            todo = deque(one for one in asked if one.key not in done)
+            onlooker.begins(asked, [results.rows[a.key] for a in asked if a.key in done], workers=crew.size)
             _run(todo, results, crew, onlooker, time_is_up=lambda: clock() >= until)
             results.sort(asked)
             return [results.rows[one.key] for one in asked if one.key in results.rows]
@@ -225,15 +225,15 @@ class Results:
     def note_variants(self, asked: Sequence[Asked]) -> None:
         """Notes the variants in the order in which this folder was first asked for them: what joins later is not the baseline."""
         path = self.out / VARIANTS
-        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() and self.rows else []
         self.variants = list(dict.fromkeys([*known, *(variant for _, variant in self.rows), *(a.variant for a in asked)]))
         _replace(path, [f"{variant}\n".encode() for variant in self.variants])
 
-    def note_cases(self, asked: Sequence[Asked]) -> None:
-        """Notes all cases that this folder was ever asked for: the report says how many of them have not been run."""
-        path = self.out / CASES
-        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-        _replace(path, [f"{case}\n".encode() for case in dict.fromkeys([*known, *(a.case.id for a in asked)])])
+    def note_asked(self, asked: Sequence[Asked]) -> None:
+        """Notes all trials that this folder was ever asked for, once it has rows: the report says how many have not been run."""
+        path = self.out / ASKED_FOR
+        known = path.read_text(encoding="utf-8").splitlines() if path.is_file() and self.rows else []
+        _replace(path, [f"{one}\n".encode() for one in dict.fromkeys([*known, *(f"{a.case.id} {a.variant}" for a in asked)])])
 
     def adopt(self, asked: Asked) -> None:
         """Gives a trial its row that was complete when its runner was killed."""
@@ -265,12 +265,6 @@ class Results:
             (self.folder(asked) / name).unlink(missing_ok=True)
         return row
 
-    def forget_errors(self, asked: Sequence[Asked]) -> None:
-        """Takes away the rows of what could not be run."""
-        keys = {a.key for a in asked}
-        self.rows = {k: r for k, r in self.rows.items() if k not in keys or r["outcome"] != "error"}
-        self._rewrite()
-
     def sort(self, asked: Sequence[Asked]) -> None:
         """Puts the rows into an order: variants as noted, of each the cases as asked, others behind.
 
@@ -287,9 +281,9 @@ class Results:
 
 def _run(todo: deque[Asked], results: Results, crew: Crew, onlooker: Onlooker, *, time_is_up: Callable[[], bool]) -> None:
     running = 0
-    begun = {case for case, _ in results.rows}
+    begun: set[str] = set()
     while todo or running:
-        if todo and time_is_up():
+        if begun and todo and time_is_up():
             todo = deque(one for one in todo if one.case.id in begun)
         while todo and running < crew.size:
             begun.add(todo[0].case.id)

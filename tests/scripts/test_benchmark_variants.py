@@ -4,6 +4,7 @@ Most of this runs with a crew that only pretends, so that thousands of interrupt
 mock in real processes and kill these and the runner for real.
 """
 
+import contextlib
 import fcntl
 import io
 import itertools
@@ -162,20 +163,55 @@ def test_variants_on_one_case_run_before_the_next_case(runs, tmp_path):
 
 
 @settings(max_examples=25)
-@given(seconds=st.integers(0, 9), order=st.integers(0, 9))
-def test_when_time_is_up_cases_that_were_begun_are_whole_and_the_same_command_goes_on(runs, undisturbed, tmp_path_factory, seconds, order):
-    """A clock that ticks whenever it is read: no other case begins, no variant of one that did is missing."""
+@given(seconds=st.integers(0, 9), order=st.integers(0, 9), life=st.integers(0, 20), again=st.integers(0, 3))
+def test_when_time_is_up_cases_that_were_begun_are_whole_and_the_same_command_goes_on(
+    runs, undisturbed, tmp_path_factory, seconds, order, life, again
+):
+    """A clock that ticks whenever it is read: no other case begins, no variant of one that did is missing; killed before or not."""
     out = tmp_path_factory.mktemp("timed")
     whole_out, expected = undisturbed
-    ticks = itertools.count()
-    rows = runs.run_all(asked(), out, crew=PretendedCrew(order=order), onlooker=Nobody(), seconds=seconds, clock=lambda: next(ticks))
-    assert rows == [r for r in expected if r["case"] in {row["case"] for row in rows}] == expected[: len(rows)]
-    assert len(rows) < len(expected) or seconds > 4
-    assert (out / "cases.txt").read_text().splitlines() == [c.id for c in SUITE.cases]
+    with contextlib.suppress(Killed):
+        runs.run_all(asked(), out, crew=PretendedCrew(order=order, life=life), onlooker=Nobody(), seconds=seconds, clock=ticking())
+    rows = runs.run_all(asked(), out, crew=PretendedCrew(order=order), onlooker=Nobody(), seconds=again, clock=ticking())
+    assert rows and rows == [r for r in expected if r["case"] in {row["case"] for row in rows}]
+    assert (out / "asked.txt").read_text().splitlines() == [f"{a.case.id} {a.variant}" for a in asked()]
+    before = {(r["case"], r["variant"]) for r in rows_in(out)}
     crew = PretendedCrew(order=order)
     assert runs.run_all(asked(), out, crew=crew, onlooker=Nobody()) == expected
-    assert len(crew.ran) == len(expected) - len(rows)
+    assert len(crew.ran) == len(expected) - len(before)
     assert (out / "results.jsonl").read_bytes() == (whole_out / "results.jsonl").read_bytes()
+
+
+def ticking():
+    ticks = itertools.count()
+    return lambda: next(ticks)
+
+
+def test_a_variant_that_joins_in_little_time_walks_few_of_the_cases_that_others_walked(runs, tmp_path):
+    runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    crew = PretendedCrew(size=1)
+    rows = runs.run_all(
+        asked(variants=["blind", "sway", "late"]), tmp_path, crew=crew, onlooker=Nobody(), seconds=0, clock=ticking()
+    )  # fmt: skip
+    assert [key[1] for key in crew.ran] == ["late"] and len(rows) == 9
+
+
+def test_what_was_asked_for_before_there_was_a_row_is_not_missed(runs, tmp_path):
+    with pytest.raises(Killed):
+        runs.run_all(asked(variants=["wrong"]), tmp_path, crew=PretendedCrew(life=0), onlooker=Nobody())
+    assert (tmp_path / "asked.txt").read_text().count("wrong") == 4
+    runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
+    assert "wrong" not in (tmp_path / "asked.txt").read_text() + (tmp_path / "variants.txt").read_text()
+
+
+def test_an_error_that_is_not_run_again_for_want_of_time_stays_a_row(runs, tmp_path):
+    keys = [a.key for a in asked()]
+    runs.run_all(asked(), tmp_path, crew=PretendedCrew(fails=keys), onlooker=Nobody())
+    crew = PretendedCrew()
+    rows = runs.run_all(asked(), tmp_path, crew=crew, onlooker=Nobody(), retry_errors=True, seconds=0, clock=ticking())
+    assert len(rows) == len(rows_in(tmp_path)) == len(keys)
+    assert {r["outcome"] == "error" for r in rows if (r["case"], r["variant"]) in crew.ran} == {False}
+    assert sum(r["outcome"] == "error" for r in rows) == len(keys) - len(crew.ran) > 0
 
 
 @settings(max_examples=25)
@@ -379,7 +415,7 @@ def full_after(writes):
 
 def test_a_full_disk_is_one_line(runs, tmp_path, monkeypatch):
     monkeypatch.setattr(os, "fsync", lambda _fd: next(room))
-    for writes, name in ((0, "variants.txt.part"), (1, "cases.txt.part"), (2, "results.jsonl")):
+    for writes, name in ((0, "variants.txt.part"), (1, "asked.txt.part"), (2, "results.jsonl")):
         room = full_after(writes)
         with pytest.raises(RecordingError, match=rf"{name} cannot be written: No space left on device; make room"):
             runs.run_all(asked(), tmp_path, crew=PretendedCrew(), onlooker=Nobody())
@@ -525,6 +561,8 @@ def test_a_dry_run_lists_cases_and_touches_nothing(script, capsys, tmp_path):
     assert script("benchmark_variants").main(args) == 0
     told = capsys.readouterr().out
     assert "8 cases x 3 variants (blind, sway, integrated) = 24 trials" in told and "t12-suite_k015-75-5" in told
+    assert script("benchmark_variants").main([*args, "--hours", "0.05", "--workers", "1"]) == 0
+    assert re.search(r"in 0.05 h roughly the first (3|6) of them", capsys.readouterr().out)
     assert not (tmp_path / "out").exists()
 
 

@@ -98,7 +98,7 @@ def test_every_figure_says_of_how_many_trials_it_is(script):
 def test_page_and_table_count_their_trials_and_name_the_baseline(study):
     folder, _, page = study
     assert re.search(r"<td class=\"n\">\S+ m of 12 trials</td>", page) and re.search(r">\d+ in 12 trials</td>", page)
-    assert "The baseline is <b>integrated</b>, the first variant of results.jsonl" in page
+    assert "The baseline is <b>integrated</b>, the variant that this folder was first asked for" in page
     table = (folder / "results.md").read_text()
     assert " of 12 trials | " in table and "Baseline: integrated." in table
 
@@ -112,11 +112,13 @@ def test_the_baseline_that_is_asked_for_is_named(report, tmp_path):
 def test_a_part_of_what_was_asked_for_says_so_and_keeps_the_first_variant(report, tmp_path):
     rows = made_up.comparison(robots=("sdm_b",), scenarios=("rock_field",), seeds=3, variants=("integrated", "blind"))
     folder = made_up.write(tmp_path, rows)
-    (folder / "cases.txt").write_text("\n".join([*dict.fromkeys(r["case"] for r in rows), "sdm_b-rock_field-8-5", "sdm_b-rock_field-9-5"]))
+    asked = [f"{r['case']} {r['variant']}" for r in rows]
+    (folder / "asked.txt").write_text("\n".join([*asked, "sdm_b-rock_field-8-5 blind", "sdm_b-rock_field-0-5 sway"]))
     (folder / "variants.txt").write_text("blind\nintegrated\n")
     page = words(report.write_report(folder, metrics=("success",)).read_text())
-    assert "A part only: 2 cases of those asked for have not been run." in page
-    assert "The baseline is  blind" in page
+    part = f"A part only: 2 of the {len(rows) + 2} trials asked for have not been run."
+    assert part in page and part in (folder / "results.md").read_text()
+    assert "The baseline is  blind , the variant that this folder was first asked for" in page
 
 
 def test_links_go_to_the_trials_that_have_something(study):
