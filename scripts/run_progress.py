@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
 from statistics import mean
 from types import TracebackType
 from typing import Any
@@ -34,17 +35,24 @@ class TimeLeft:
     def __init__(self, *, workers: int) -> None:
         self.workers = workers
         self._took: dict[tuple[str, str], list[float]] = {}
+        self._means: dict[tuple[str, str], float | None] = {}
+        """of what was learnt, until another trial ends: asked for every trial of a suite, several times a second"""
 
     def took(self, asked: Asked, seconds: float | None) -> None:
         """A trial ended after so long; None where that was not measured."""
         if seconds is not None:
             self._took.setdefault((asked.case.robot, asked.variant), []).append(seconds)
+            self._means.clear()
 
     def of_trial(self, asked: Asked) -> float:
         """How long a trial takes [s]."""
-        own = self._took.get((asked.case.robot, asked.variant))
-        same_robot = [s for (robot, _), seconds in self._took.items() for s in seconds if robot == asked.case.robot]
-        return mean(own or same_robot or [guess(asked)])
+        key = (asked.case.robot, asked.variant)
+        if key not in self._means:
+            same_robot = [s for (robot, _), seconds in self._took.items() for s in seconds if robot == asked.case.robot]
+            learnt = self._took.get(key) or same_robot
+            self._means[key] = mean(learnt) if learnt else None
+        seconds = self._means[key]
+        return guess(asked) if seconds is None else seconds
 
     def left(self, todo: Iterable[Asked], running: Iterable[tuple[Asked, float]]) -> float:
         """How long all of it still takes, with the trials that have run for so long [s]."""
@@ -153,7 +161,12 @@ def duration(seconds: float) -> str:
 
 
 def _cycles(asked: Asked) -> float:
-    return min(asked.case.cycles, load_scenario(asked.case.scenario).goal_distance / _of_robot(METRES_A_CYCLE, asked))
+    return min(asked.case.cycles, _goal_distance(asked.case.scenario) / _of_robot(METRES_A_CYCLE, asked))
+
+
+@lru_cache(maxsize=256)
+def _goal_distance(scenario: str) -> float:
+    return load_scenario(scenario).goal_distance
 
 
 def _of_robot(figures: Mapping[str, float], asked: Asked) -> float:
