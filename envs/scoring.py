@@ -120,7 +120,12 @@ class Scorer:
 
     def at_goal(self, truth: TruthView) -> bool:
         """Whether the true robot stands at the goal with every wheel loaded."""
-        return self.goal_distance(truth) <= ARRIVED and bool((truth.wheel_loads > LOADED).all())
+        return self.goal_distance(truth) <= ARRIVED and not self.unloaded(truth)
+
+    @staticmethod
+    def unloaded(truth: TruthView) -> list[int]:
+        """Numbers of the wheels, 1 to 6, that carry next to nothing."""
+        return [int(leg) + 1 for leg in np.flatnonzero(truth.wheel_loads <= LOADED)]
 
     def sag_error(self) -> Summary:
         """Chassis height over the ground under its wheels, believed against true, at the end of each motion [m]."""

@@ -226,7 +226,9 @@ class Trial:
                 distance = scorer.goal_distance(truth)
                 if scorer.at_goal(truth):
                     return "goal_reached", f"{mission.arrived.text}; {distance:.2f} m from the goal"
-                return "no_step", f"the ground declared arrival {distance:.2f} m from the goal"
+                hangs = ", ".join(f"wheel {number}" for number in scorer.unloaded(truth))
+                lacks = f", where {hangs} carries nothing" if hangs else ""
+                return "no_step", f"the ground declared arrival {distance:.2f} m from the goal{lacks}"
             if mission.no_step is not None:
                 return self._nothing_to_do()
             if scorer.gait_cycles >= self.setup.cycles:

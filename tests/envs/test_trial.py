@@ -13,7 +13,7 @@ from athlete_twin.messages import Fault, Stop, decode
 from athlete_twin.mock import MockAthlete
 from athlete_twin.model.spec import load_spec
 from envs.recording import read_recording
-from envs.scoring import map_error, true_margins
+from envs.scoring import Scorer, map_error, true_margins
 from envs.trial import Trial, TrialSetup, trajectory_sha256, usable_folder, write_json
 from planner.decisions import ApproveAll, Decision, NoStep, RejectSome
 from planner.underway import SILENCE
@@ -90,6 +90,13 @@ def test_goal_is_reached_when_truth_and_ground_agree(trial):
 def test_truth_overrules_a_ground_that_believes_to_have_arrived(trial):
     result = trial(goal=(3.0, 0.0)).run()
     assert result.outcome == "no_step" and "declared arrival 2.9" in result.reason
+
+
+def test_wheels_that_carry_nothing_are_named():
+    truth = MockAthlete(load_spec("t12")).truth()
+    assert Scorer.unloaded(truth) == []
+    loads = truth.wheel_loads * [1.0, 1.0, 0.0, 1.0, 1.0, 0.01]
+    assert Scorer.unloaded(dataclasses.replace(truth, wheel_loads=loads)) == [3, 6]
 
 
 @pytest.mark.slow
