@@ -21,7 +21,7 @@ from envs.prepare import Wanted, again, prepared
 from envs.rerun import rerun
 from envs.variants import OutsidePlanner, TomlVariant, variant_named, variant_names
 from planner.agent import SECONDS_PER_PLAN
-from planner.config import CHOICES, OPTIONAL
+from planner.config import CHOICES, OPTIONAL, planner_config
 from planner.decisions import Proposal
 from planner.eyes import Look
 
@@ -77,6 +77,10 @@ def test_it_goes_towards_integrated_wherever_that_has_another_method(stage):
 @pytest.mark.parametrize("name", variant_names())
 def test_every_shipped_variant_is_taken_for_both_robots(name):
     check_variant(name)
+    content = variant_content(name)[1]
+    for robot in ROBOTS:
+        config = planner_config(content, load_spec(robot), name=name)
+        assert (config.step.leg_planner, config.fusion_method) == (content["leg_planner"], content["fusion"])
 
 
 def table(columns, names):
